@@ -1,0 +1,33 @@
+# make demo    .venv, pinned installs, then the main job: render, remove the gloss, measure, report
+# make test    the whole test suite on the same .venv
+# make check   formatting, lint and types
+# make soak    long campaigns (none are needed to use the software)
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test check soak clean
+
+demo: $(STAMP)
+	$(BIN)/degloss demo -o out/demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -q -m "not soak"
+
+soak: $(STAMP)
+	$(BIN)/python -m pytest -q -m soak
+
+check: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) out build *.egg-info

@@ -1,0 +1,135 @@
+"""Rendering, and the raw passes as arrays. Two routes to the same bits: straight from memory, or through a file.
+
+Blender gives a script no public way to a headless render's passes but a file. The fast route wraps the engine's own render method and
+copies the passes while the result is at hand; should a version of Blender lack that, the slow route writes an uncompressed
+32-bit multilayer EXR and reads it back.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blender_scenes.multilayer import read_multilayer
+from blender_scenes.studio import blender
+
+Floats = NDArray[np.float32]
+
+CHANNELS = {
+    "Combined": "RGBA",
+    "Depth": "Z",
+    "Normal": "XYZ",
+    "DiffDir": "RGB",
+    "DiffCol": "RGB",
+    "GlossDir": "RGB",
+    "GlossCol": "RGB",
+}
+"""The passes that are fetched, by Blender's short names, and their channels in order."""
+
+LONG = {
+    "Diffuse Direct": "DiffDir",
+    "Diffuse Color": "DiffCol",
+    "Glossy Direct": "GlossDir",
+    "Glossy Color": "GlossCol",
+    "Z": "Depth",
+}
+"""The names that Blender 5 gives to some passes."""
+
+ROUTES = ("auto", "memory", "exr")
+
+
+def render(scene: Any, route: str = "auto") -> tuple[dict[str, Floats], str]:
+    """Render the scene. Returns its passes (H, W, channels), rows top to bottom, and the route taken ("memory" or "exr").
+
+    route: "memory" or "exr" to insist on one, "auto" for memory with the file as fallback. Raises RuntimeError where Blender gave no
+    passes by the route asked for.
+    """
+    if route in ("auto", "memory"):
+        passes = _from_memory()
+        if passes is not None:
+            return passes, "memory"
+        if route == "memory":
+            raise RuntimeError("this Blender hands out no passes from memory; use the route exr")
+    return _from_file(scene), "exr"
+
+
+def _from_memory() -> dict[str, Floats] | None:
+    """Render and copy the passes out of the engine's result, or None where that is not possible."""
+    bpy = blender()
+    try:
+        from cycles import CyclesRender
+    except ImportError:
+        return None
+    kept: list[dict[str, Floats]] = []
+    original = CyclesRender.render
+
+    # Blender counts the parameters of the function and passes as many: no *arguments here.
+    def tapped(self: Any, depsgraph: Any) -> None:
+        original(self, depsgraph)
+        try:
+            result = self.get_result()
+            kept.append(_copy(result))
+        except (AttributeError, RuntimeError, TypeError, ValueError):
+            kept.clear()
+
+    CyclesRender.render = tapped
+    try:
+        bpy.ops.render.render()
+    finally:
+        CyclesRender.render = original
+    return _complete(kept[-1]) if kept else None
+
+
+def _copy(result: Any) -> dict[str, Floats]:
+    width, height = result.resolution_x, result.resolution_y
+    passes: dict[str, Floats] = {}
+    for item in result.layers[0].passes:
+        buffer = np.empty(width * height * item.channels, np.float32)
+        item.rect.foreach_get(buffer)
+        # Blender's rows run from bottom to top.
+        passes[item.name] = buffer.reshape(height, width, item.channels)[::-1]
+    return passes
+
+
+def _complete(passes: dict[str, Floats]) -> dict[str, Floats] | None:
+    renamed = {LONG.get(name, name): array for name, array in passes.items()}
+    if any(name not in renamed for name in CHANNELS):
+        return None
+    return {name: renamed[name] for name in CHANNELS}
+
+
+def _from_file(scene: Any) -> dict[str, Floats]:
+    bpy = blender()
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_mode = "RGBA"
+    settings.color_depth = "32"
+    settings.exr_codec = "NONE"
+    with tempfile.TemporaryDirectory(prefix="blender_scenes.") as folder:
+        path = Path(folder) / "passes.exr"
+        scene.render.filepath = str(path)
+        scene.render.use_file_extension = False
+        bpy.ops.render.render(write_still=True)
+        if not path.is_file():
+            raise RuntimeError("Blender rendered but wrote no file")
+        channels = read_multilayer(path)
+    by_pass: dict[str, dict[str, Floats]] = {}
+    for name, array in channels.items():
+        parts = name.split(".")
+        if len(parts) >= 2:
+            by_pass.setdefault(parts[-2], {})[parts[-1]] = array
+    stacked = {}
+    for name, letters in by_pass.items():
+        order = CHANNELS.get(LONG.get(name, name), "")
+        if order and all(letter in letters for letter in order):
+            stacked[name] = np.stack([letters[letter] for letter in order], axis=-1)
+    passes = _complete(stacked)
+    if passes is None:
+        raise RuntimeError(f"Blender's file lacks some of the passes {', '.join(CHANNELS)}; it has {', '.join(by_pass)}")
+    return passes

@@ -1,0 +1,93 @@
+"""Shapes: functions from parameters in millimetres to mesh arrays, found by name. numpy alone.
+
+A shape family is one module: a function of the family's name from keyword parameters to a `Mesh`, and `sample(rng)`, which draws
+its parameters. To add one: write the module and enter it in `SHAPES`. Every parameter is annotated `Annotated[float, Range(low, high)]`
+(or int) and has a default; `parameters` and `build` read the signature, so nothing is listed twice.
+
+At rest a shape is centred on the origin of its own frame, x right, y up, z toward the viewer.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from blender_scenes.shapes.mesh import Mesh, Parameter, Range
+
+SHAPES = {
+    "cylinder": "blender_scenes.shapes.cylinder",
+    "sphere": "blender_scenes.shapes.sphere",
+}
+"""Name of each shape and the module that holds its function (of the same name) and its `sample`."""
+
+__all__ = ["SHAPES", "Mesh", "Parameter", "Range", "build", "describe", "parameters", "sample"]
+
+
+@cache
+def parameters(name: str) -> dict[str, Parameter]:
+    """Each parameter of a shape with its kind, default and range, read from the function's signature.
+
+    Raises ValueError where the name is unknown.
+    """
+    function = _function(name)
+    hints = get_type_hints(function, include_extras=True)
+    found: dict[str, Parameter] = {}
+    for key, argument in inspect.signature(function).parameters.items():
+        hint = hints[key]
+        if get_origin(hint) is not Annotated or argument.default is inspect.Parameter.empty:
+            raise TypeError(f"shape {name}: parameter {key} needs Annotated[kind, Range(low, high)] and a default")
+        kind, limits = get_args(hint)[:2]
+        found[key] = Parameter(kind=kind, default=argument.default, low=limits.low, high=limits.high)
+    return found
+
+
+def build(name: str, /, **values: Any) -> Mesh:
+    """The mesh of a named shape; parameters that are not given take their defaults.
+
+    Raises ValueError, one line, for unknown names, unknown parameters and values that are not finite or out of range.
+    """
+    known = parameters(name)
+    for key, value in values.items():
+        if key not in known:
+            raise ValueError(f"shape {name}: unknown parameter {key}; it has {', '.join(known)}")
+        values[key] = _checked(name, key, value, known[key])
+    mesh: Mesh = _function(name)(**values)
+    return mesh
+
+
+def sample(name: str, rng: np.random.Generator) -> dict[str, float]:
+    """Parameters of a named shape drawn from `rng`; `build(name, **sample(name, rng))` is the mesh."""
+    drawn: dict[str, float] = _module(name).sample(rng)
+    return drawn
+
+
+def describe() -> dict[str, str]:
+    """The first line of each shape's docstring."""
+    return {name: (inspect.getdoc(_function(name)) or "").split("\n")[0] for name in SHAPES}
+
+
+def _module(name: str) -> ModuleType:
+    if name not in SHAPES:
+        raise ValueError(f"shape {name}: unknown; there are {', '.join(SHAPES)}")
+    return import_module(SHAPES[name])
+
+
+def _function(name: str) -> Callable[..., Mesh]:
+    function: Callable[..., Mesh] = getattr(_module(name), name)
+    return function
+
+
+def _checked(name: str, key: str, value: Any, parameter: Parameter) -> float:
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or not parameter.low <= value <= parameter.high:
+        raise ValueError(f"shape {name}: {key} must be a number from {parameter.low:g} to {parameter.high:g}, got {value!r}")
+    if parameter.kind is int and value != int(value):
+        raise ValueError(f"shape {name}: {key} must be a whole number, got {value!r}")
+    return parameter.kind(value)

@@ -1,0 +1,96 @@
+"""Layered OpenEXR files: named float channels in, named float channels out. Radiance and normals, never colour-managed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gen.errors import InputError
+from gen.files import MAX_PIXELS, library_silenced, must_exist, writing
+
+HALF_MAX = 65504.0
+"""The largest finite half-precision number."""
+
+
+def write_exr(
+    path: Path, channels: Mapping[str, NDArray[Any]], half: tuple[str, ...] = (), header: Mapping[str, Any] | None = None
+) -> None:
+    """Write named channels, each (H, W), as one ZIP-compressed scan-line EXR, by a temporary name.
+
+    half: names of the channels stored as half precision (10 mantissa bits, at most 65504); all others are float32.
+    header: extra attributes. Raises InputError where shapes differ or a half channel would overflow.
+    """
+    import OpenEXR
+
+    shapes = {array.shape for array in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise InputError(f"{path}: all channels of an EXR must share one (H, W), got {sorted(map(str, shapes))}")
+    ready: dict[str, Any] = {}
+    for name, array in channels.items():
+        if name in half:
+            finite = array[np.isfinite(array)]
+            if finite.size and float(np.abs(finite).max()) > HALF_MAX:
+                raise InputError(f"{path}: channel {name} holds values above 65504, which half precision cannot; store float32")
+        # A non-contiguous array is written wrong without any error: hence ascontiguousarray.
+        ready[name] = np.ascontiguousarray(array, dtype=np.float16 if name in half else np.float32)
+    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **dict(header or {})}
+    with writing(path) as temporary, OpenEXR.File(attributes, ready) as file:
+        file.write(str(temporary))
+
+
+def read_exr(path: Path) -> dict[str, NDArray[Any]]:
+    """All channels of an EXR, parts merged, as float32 (H, W) arrays by their full names.
+
+    Raises InputError where the file is missing, truncated, too large, or not an EXR.
+    """
+    import OpenEXR
+
+    must_exist(path, "an EXR picture")
+    with path.open("rb") as stream:
+        if stream.read(4) != b"\x76\x2f\x31\x01":
+            raise InputError(f"{path}: is not an OpenEXR file")
+    OpenEXR.setMaxImageSize(65535, 65535)
+    channels: dict[str, NDArray[Any]] = {}
+    try:
+        with library_silenced(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+            for part in file.parts:
+                (x0, y0), (x1, y1) = part.header["dataWindow"]
+                if (int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) > MAX_PIXELS:
+                    raise InputError(f"{path}: is larger than {MAX_PIXELS // 1_000_000} megapixels")
+        with library_silenced(), OpenEXR.File(str(path), separate_channels=True) as file:
+            for part in file.parts:
+                for name, channel in part.channels.items():
+                    pixels = np.asarray(channel.pixels)
+                    if pixels.ndim != 2:
+                        raise InputError(f"{path}: channel {name} is not a plane of samples")
+                    channels[name] = pixels.astype(np.float32)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: is damaged or truncated ({_first_line(error)})") from error
+    if not channels:
+        raise InputError(f"{path}: is damaged or truncated (no channels could be read)")
+    if len({array.shape for array in channels.values()}) != 1:
+        raise InputError(f"{path}: its parts have different sizes")
+    return channels
+
+
+def stack(channels: Mapping[str, NDArray[Any]], name: str, letters: str) -> NDArray[np.float32] | None:
+    """(H, W, len(letters)) of the channels `name.letter` (plain letters where name is ""), or None where one is missing."""
+    keys = [f"{name}.{letter}" if name else letter for letter in letters]
+    if any(key not in channels for key in keys):
+        return None
+    return np.stack([channels[key] for key in keys], axis=-1).astype(np.float32)
+
+
+def unstack(name: str, letters: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The reverse of `stack`: {"name.letter": (H, W)} of an (H, W, len(letters)) array."""
+    return {(f"{name}.{letter}" if name else letter): array[..., i] for i, letter in enumerate(letters)}
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

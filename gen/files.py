@@ -1,0 +1,259 @@
+"""Writing so that nothing is ever left half-written, and reading so that nothing is trusted: paths, sizes, JSON."""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import json
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import IO, Any, TextIO
+
+import numpy as np
+
+from gen.errors import InputError
+
+MAX_PIXELS = 200_000_000
+"""The largest picture that any reader opens (H * W)."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not.
+
+    Raises InputError where the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place with -o") from error
+    finally:
+        temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
+
+
+@contextmanager
+def writing_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder beside `path` that takes its place when the block ends well; an earlier result there is replaced whole.
+
+    Only an empty folder, or one that an earlier run of this program marked as its own, is replaced; anything else is refused.
+    Raises InputError where the place cannot be written or holds something else.
+    """
+    path = Path(os.path.abspath(path))
+    if path.exists() and not replaceable(path):
+        raise InputError(f"{path}: is there already and is not an earlier result; choose another place with -o")
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+        temporary.chmod(0o777 & ~_umask())
+        yield temporary
+        (temporary / MARK).write_text("degloss\n")
+        old = None
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+            os.replace(path, old / path.name)
+        os.replace(temporary, path)
+        if old is not None:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place with -o") from error
+    finally:
+        if temporary is not None and temporary.exists():
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+MARK = ".degloss"
+"""The file that marks a folder as written by this program, so that a later run may replace it."""
+
+
+def replaceable(path: Path) -> bool:
+    """Whether `path` is an empty folder or an earlier result of this program."""
+    return path.is_dir() and not path.is_symlink() and ((path / MARK).is_file() or not any(path.iterdir()))
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The file `name` of `folder`; InputError where the name leads out of it (absolute, "..", or by a symbolic link)."""
+    parts = PurePosixPath(name.replace("\\", "/"))
+    if not name or "\0" in name or parts.is_absolute() or PureWindowsPath(name).drive or ".." in parts.parts:
+        raise InputError(f"{folder}: the file name {name!r} leads out of the folder")
+    path = folder / parts
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder}: the file name {name!r} leads out of the folder")
+    return path
+
+
+def must_exist(path: Path, what: str) -> Path:
+    """`path`, which is a readable, non-empty file; InputError otherwise. what: its role, for the message."""
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file ({what})")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: is empty ({what})")
+    return path
+
+
+def read_lines(path: Path, what: str, limit: int = 10_000_000) -> list[tuple[int, str]]:
+    """The lines of a small UTF-8 text file that are not blank, stripped, each with its number from 1.
+
+    limit: the largest size in bytes. Raises InputError where the file is missing, empty, too large or not text.
+    """
+    must_exist(path, what)
+    if path.stat().st_size > limit:
+        raise InputError(f"{path}: is too large to be a table of {what}")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text ({what})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}; {what})") from error
+    if "\0" in text:
+        raise InputError(f"{path}: is not a text file ({what})")
+    return [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+
+
+def read_numbers(
+    path: Path, what: str, columns: int | tuple[int, ...] | None, limit: int = 10_000_000
+) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Rows of numbers from a text file, blanks, commas or semicolons between them, all rows of one length.
+
+    columns: the length of a row, several that are allowed, or None for any. Text after '#' is ignored. A first row that holds
+    only the count is checked against the rows that follow and left out. Returns (N, columns) float64. Raises InputError, naming
+    the line, for anything else.
+    """
+    allowed = (columns,) if isinstance(columns, int) else columns
+    lines = [(i, line.split("#")[0].replace(",", " ").replace(";", " ").split()) for i, line in read_lines(path, what, limit)]
+    lines = [(i, words) for i, words in lines if words]
+    if not lines:
+        raise InputError(f"{path}: holds no numbers ({what})")
+    if len(lines) > 1 and lines[0][1][0].isdecimal() and len(lines[0][1]) == 1 < len(lines[1][1]):
+        said, lines = int(lines[0][1][0]), lines[1:]
+        if said != len(lines):
+            raise InputError(f"{path}: its first line says {said}, but {len(lines)} rows follow ({what})")
+    width = len(lines[0][1])
+    if allowed is not None and width not in allowed:
+        wanted = " or ".join(str(n) for n in allowed)
+        raise InputError(f"{path}: line {lines[0][0]} has {width} values, {wanted} are needed ({what})")
+    rows: list[list[float]] = []
+    for i, words in lines:
+        if len(words) != width:
+            raise InputError(f"{path}: line {i} has {len(words)} values, {width} are needed ({what})")
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError:
+            raise InputError(f"{path}: line {i} is not a row of numbers ({what})") from None
+    table = np.array(rows, dtype=np.float64)
+    finite = np.isfinite(table).all(axis=1)
+    if not finite.all():
+        raise InputError(f"{path}: line {lines[int(np.argmin(finite))][0]} holds a value that is not finite ({what})")
+    return table
+
+
+_silence = threading.Lock()
+_silenced: list[tuple[IO[bytes], list[tuple[int, int]], io.StringIO, tuple[TextIO, TextIO]]] = []
+_inside = 0
+
+
+@contextmanager
+def library_silenced() -> Iterator[Callable[[], str]]:
+    """Keep what a C library prints on the file descriptors 1 and 2 off the terminal; the function handed out returns that text.
+
+    On a damaged file libjpeg, libpng, libtiff and OpenEXR print lines of their own, and for some damage that is the only sign
+    they give. May be entered by several threads at once: the first redirects, the last restores, and each then sees the others'
+    output too.
+    """
+    global _inside
+    with _silence:
+        if _inside == 0:
+            for stream in (sys.stdout, sys.stderr):
+                if stream is not None:
+                    stream.flush()
+            _flush_c()
+            sink: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - outlives this block where a second thread is inside
+            kept = [(fd, os.dup(fd)) for fd in (1, 2) if _is_open(fd)]
+            for fd, _ in kept:
+                os.dup2(sink.fileno(), fd)
+            # pybind11 prints through Python's own streams, which need not stand on the descriptors.
+            text = io.StringIO()
+            _silenced.append((sink, kept, text, (sys.stdout, sys.stderr)))
+            sys.stdout = sys.stderr = text
+        _inside += 1
+        number, text = _silenced[-1][0].fileno(), _silenced[-1][2]
+        start, start_of_text = os.fstat(number).st_size, text.tell()
+    try:
+        yield lambda: os.pread(number, 100_000, start).decode("utf-8", "replace") + text.getvalue()[start_of_text:]
+    finally:
+        with _silence:
+            _inside -= 1
+            if _inside == 0:
+                _flush_c()
+                sink, kept, _, (out, err) = _silenced.pop()
+                sys.stdout, sys.stderr = out, err
+                for fd, copy in kept:
+                    os.dup2(copy, fd)
+                    os.close(copy)
+                sink.close()
+
+
+def _flush_c() -> None:
+    """Empty the C library's own buffers: what it was told to print while silenced would otherwise come out later."""
+    ctypes.CDLL(None).fflush(None)
+
+
+def _is_open(fd: int) -> bool:
+    try:
+        os.fstat(fd)
+    except OSError:
+        return False
+    return True
+
+
+def write_json(path: Path, value: object) -> None:
+    """`value` as indented JSON (numpy scalars and arrays allowed; NaN becomes null), by a temporary name."""
+    with writing(path) as temporary:
+        temporary.write_text(dumps(value, indent=2) + "\n", encoding="utf-8")
+
+
+def dumps(value: object, indent: int | None = None) -> str:
+    """JSON text of plain values and numpy ones; NaN and infinity become null, so that any parser reads it."""
+    return json.dumps(_plain(value), indent=indent, allow_nan=False, ensure_ascii=False)
+
+
+def read_json(path: Path, what: str) -> Any:
+    """The JSON of a file of at most 50 MB. Raises InputError where it is missing or not JSON."""
+    must_exist(path, what)
+    if path.stat().st_size > 50_000_000:
+        raise InputError(f"{path}: is too large ({what})")
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is not valid JSON ({what}): {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

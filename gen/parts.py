@@ -1,0 +1,185 @@
+"""The parts that are not always there (Blender, torch, report packages, a browser, reference data): how to tell, and the remedy.
+
+One table serves `degloss doctor` and every place that needs a part, so both say the same line.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from gen.errors import MissingPart
+
+SYSTEM_LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libxext6 libgl1"
+"""Debian packages that the bpy module loads and a bare container lacks."""
+
+APT_LINE = f"apt-get install -y {SYSTEM_LIBRARIES}"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found. state: "ok", "missing" or "none" (absent and not needed). detail: version, path or reason."""
+
+    state: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class PartOf:
+    """A part. purpose: what does not work without it. remedy: the command that brings it. look: how to tell whether it is there.
+
+    needed: whether its absence is a fault (else it only narrows what can be done).
+    """
+
+    name: str
+    purpose: str
+    remedy: str
+    look: Callable[[], Finding]
+    needed: bool = True
+
+    @property
+    def line(self) -> str:
+        """The one line that says what is missing and what to do."""
+        return f"{self.name} is missing ({self.purpose}): {self.remedy}"
+
+
+def require(name: str, reason: str = "") -> None:
+    """Raise MissingPart with the part's remedy unless it can be found (without importing it). reason: what failed, if known."""
+    part = PARTS[name]
+    modules = MODULES.get(name, ())
+    absent = [module for module in modules if find_spec(module) is None]
+    if absent or reason:
+        raise MissingPart(part.line + (f" [{reason}]" if reason else ""))
+
+
+def _modules(*names: str) -> Callable[[], Finding]:
+    def look() -> Finding:
+        from importlib.metadata import PackageNotFoundError, version
+
+        found = []
+        for name in names:
+            if find_spec(name) is None:
+                return Finding("missing", f"no package {name}")
+            try:
+                found.append(f"{name} {version(name)}")
+            except PackageNotFoundError:
+                found.append(name)
+        return Finding("ok", ", ".join(found))
+
+    return look
+
+
+def _bpy() -> Finding:
+    if find_spec("bpy") is None:
+        return Finding("missing", "no package bpy")
+    run = subprocess.run(
+        [sys.executable, "-c", "import bpy; print('bpy', bpy.app.version_string)"], capture_output=True, text=True, timeout=120
+    )
+    if run.returncode == 0:
+        return Finding("ok", (run.stdout.strip().splitlines() or ["bpy"])[-1])
+    return Finding("missing", (run.stderr.strip().splitlines() or ["import bpy fails"])[-1])
+
+
+def _libraries() -> Finding:
+    """Whether the dynamic loader finds every library that the bpy module names."""
+    spec = find_spec("bpy")
+    if spec is None or spec.origin is None:
+        return Finding("none", "asked for by bpy, which is not installed")
+    module = Path(spec.origin).parent / "__init__.so"
+    tool = shutil.which("ldd")
+    if not module.is_file() or tool is None:
+        return Finding("none", "cannot be told on this system")
+    text = subprocess.run([tool, str(module)], capture_output=True, text=True, timeout=60).stdout
+    absent = sorted({line.split()[0] for line in text.splitlines() if "not found" in line})
+    return Finding("missing", ", ".join(absent)) if absent else Finding("ok", "all found by the loader")
+
+
+def _blender() -> Finding:
+    path = shutil.which("blender")
+    return Finding("ok", path) if path else Finding("none", "no blender on the path; the bpy module serves instead")
+
+
+def _gpu() -> Finding:
+    tool = shutil.which("nvidia-smi")
+    if tool is None:
+        return Finding("none", "no NVIDIA driver; everything runs on the CPU")
+    try:
+        run = subprocess.run([tool, "--query-gpu=name", "--format=csv,noheader"], capture_output=True, text=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return Finding("none", "the driver does not answer; everything runs on the CPU")
+    names = run.stdout.strip().splitlines() if run.returncode == 0 else []
+    return Finding("ok", ", ".join(names)) if names else Finding("none", "no GPU answers; everything runs on the CPU")
+
+
+def chromium() -> str | None:
+    """The path of a Chromium or Chrome, or None."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+def _chromium() -> Finding:
+    path = chromium()
+    return Finding("ok", path) if path else Finding("missing", "no chromium on the path")
+
+
+def data_folder() -> Path:
+    """Where the tests look for reference photographs: DEGLOSS_DATA, by default ../shared/data beside the repository."""
+    return Path(os.environ.get("DEGLOSS_DATA", Path(__file__).resolve().parent.parent.parent / "shared" / "data"))
+
+
+def _data() -> Finding:
+    folder = data_folder()
+    sets = sorted(p.name for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+    return Finding("ok", f"{folder}: {', '.join(sets)}") if sets else Finding("missing", f"nothing at {folder}")
+
+
+MODULES: dict[str, tuple[str, ...]] = {
+    "bpy": ("bpy",),
+    "torch": ("torch", "safetensors"),
+    "report": ("jinja2",),
+    "playwright": ("playwright",),
+}
+PARTS: dict[str, PartOf] = {
+    part.name: part
+    for part in (
+        PartOf("bpy", "rendering: degloss gen render, degloss demo", "pip install 'degloss[render]' (Python 3.11)", _bpy),
+        PartOf("system libraries", "Blender does not load without them", APT_LINE, _libraries),
+        PartOf(
+            "blender",
+            "an installed Blender in place of the bpy module: --blender PATH",
+            "optional: install Blender 4.5 LTS",
+            _blender,
+            False,
+        ),
+        PartOf("GPU", "faster rendering and training", "optional: an NVIDIA GPU with its driver", _gpu, False),
+        PartOf(
+            "torch",
+            "the learned gloss removers",
+            "pip install torch==2.13.0 safetensors",
+            _modules("torch", "safetensors"),
+            False,
+        ),
+        PartOf(
+            "report",
+            "report.html",
+            "pip install 'degloss[report]'",
+            _modules(
+                "jinja2",
+            ),
+        ),
+        PartOf("chromium", "the report's tests in a browser", "apt-get install -y chromium", _chromium, False),
+        PartOf("playwright", "the report's tests in a browser", "pip install 'degloss[dev]'", _modules("playwright"), False),
+        PartOf(
+            "reference data",
+            "the tests on real photographs",
+            "set DEGLOSS_DATA to the folder that holds diligent/, uw_psm/, ...",
+            _data,
+            False,
+        ),
+    )
+}

@@ -1,0 +1,193 @@
+"""The spec of a capture: what a person writes in YAML, checked, with every default filled in.
+
+A spec says one shape, its pose, its material, lights, camera and exposure; `degloss gen render` makes a capture of it.
+Frame: x right, y up, z to the viewer, origin where the camera looks; lengths in millimetres, angles in degrees.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from gen.errors import InputError
+from gen.spec_parts import (
+    CAMERAS,
+    LIGHT_PATTERNS,
+    Array,
+    AutoExposure,
+    Camera,
+    Exposure,
+    Light,
+    Lights,
+    Part,
+    Pose,
+    Ring,
+    Shape,
+    Substrate,
+    Whole,
+    YesNo,
+)
+from gen.strict_yaml import first_complaint, read_yaml
+
+
+class Spec(Part):
+    """One capture to be rendered."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$", description="letters, digits, dots, dashes and underscores")
+    seed: Whole = Field(default=0, ge=0, lt=2**63, description="of everything drawn at random")
+    resolution: tuple[Whole, Whole] = Field(default=(256, 256), description="[width, height] in pixels")
+    supersampling: Whole = Field(default=1, ge=1, le=8, description="n: every pixel is the mean of n x n exact samples")
+    shape: Shape
+    pose: Pose = Pose()
+    material: Substrate = Substrate()
+    lights: Lights = Ring(pattern="ring", count=4, tilt_degrees=35.0, frontal=True)
+    camera: Camera
+    exposure: Exposure = AutoExposure()
+    clip: YesNo = Field(
+        default=False, description="cut the pictures at 1 as a sensor does, and mark what was cut; the truth stays whole"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _size_is_sane(cls, data: Any) -> Any:
+        size = data.get("resolution") if isinstance(data, dict) else None
+        if size is not None and not (
+            isinstance(size, list | tuple) and len(size) == 2 and all(type(n) is int and 1 <= n <= 8192 for n in size)
+        ):
+            raise _At("resolution", "must be [width, height], whole numbers from 1 to 8192")
+        return data
+
+    @model_validator(mode="after")
+    def _shape_can_be_built(self) -> Spec:
+        if max(self.resolution) * self.supersampling > 16384:
+            raise _At(
+                "supersampling",
+                f"{self.supersampling} x {max(self.resolution)} pixels is more than 16384; ask for less of either",
+            )
+        _check_shape(self)
+        self.light_directions()  # the pattern may not fit
+        return self
+
+    def light_directions(self) -> Array:
+        """Unit vectors (K, 3) to the lights."""
+        if isinstance(self.lights, tuple):
+            given = np.array([light.direction for light in self.lights])
+            unit: Array = given / np.linalg.norm(given, axis=1, keepdims=True)
+            return unit
+        return self.lights.directions(self.seed)
+
+    def light_intensities(self) -> Array:
+        """Irradiance / pi of each light, (K, 3), before exposure."""
+        if isinstance(self.lights, tuple):
+            return np.array([light.intensity for light in self.lights])
+        return np.tile(np.array(self.lights.intensity), (len(self.light_directions()), 1))
+
+    def plain(self) -> dict[str, Any]:
+        """The spec as plain values, defaults filled in; `Spec.model_validate` reads it back to an equal spec."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def digest(self) -> str:
+        """SHA-256 of the spec with its defaults, in hexadecimal: equal for specs that mean the same capture."""
+        return hashlib.sha256(json.dumps(self.plain(), sort_keys=True).encode()).hexdigest()
+
+    def yaml(self) -> str:
+        """The spec as YAML that `read_spec` reads back."""
+        from ruamel.yaml import YAML
+
+        writer = YAML(typ="safe", pure=True)
+        writer.default_flow_style = None
+        writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+        text = io.StringIO()
+        writer.dump(self.plain(), text)
+        return text.getvalue()
+
+
+class _At(ValueError):
+    """A complaint of a whole-spec check about one key."""
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(f"{key}: {message}")
+
+
+def _check_shape(spec: Spec) -> None:
+    """Build the mesh once: what the shape refuses is refused here, and so is an object that reaches the camera."""
+    from blender_scenes import shapes
+
+    if spec.shape.name not in shapes.SHAPES:
+        raise _At("shape.name", f"unknown shape '{spec.shape.name}'; there are {', '.join(shapes.SHAPES)}")
+    known = tuple(shapes.parameters(spec.shape.name))
+    for key in spec.shape.parameters:
+        if key not in known:
+            raise _At(f"shape.{key}", f"unknown parameter of {spec.shape.name}; there are {', '.join(known)}")
+    try:
+        mesh = shapes.build(spec.shape.name, **spec.shape.parameters)
+    except ValueError as error:
+        raise _At("shape", str(error).removeprefix(f"shape {spec.shape.name}: ")) from None
+    nearest = float((np.asarray(mesh.vertices) @ spec.pose.matrix().T)[:, 2].max()) + spec.pose.translation_mm[2]
+    if nearest >= spec.camera.distance_mm:
+        raise _At("camera.distance_mm", f"the object reaches {nearest:g} mm toward the camera; put the camera farther than that")
+
+
+_SYNONYMS = {
+    "Kd": "albedo", "kd": "albedo", "diffuse": "albedo", "color": "albedo", "colour": "albedo",
+    "Ks": "specular", "ks": "specular", "remaproughness": "remap", "uroughness": "roughness",
+    "width": "width_mm", "distance": "distance_mm", "focal": "focal_px", "fov": "fov_degrees", "tilt": "tilt_degrees",
+    "rotation": "rotation_degrees", "translation": "translation_mm", "samples": "supersampling", "size": "resolution",
+}  # fmt: skip
+"""What other programs call our keys, for the hint in an error."""
+
+
+def spec_from(data: Any, where: str) -> Spec:
+    """A Spec from plain values. where: named in the error. Raises InputError with the key path and what is allowed."""
+    try:
+        return Spec.model_validate(data)
+    except ValidationError as error:
+        raise first_complaint(error, data, where, _known_keys(data), _SYNONYMS) from None
+
+
+def read_spec(path_or_preset: str | Path) -> Spec:
+    """The spec in a YAML file, or the shipped preset of that name.
+
+    Raises InputError, one line, where there is no such file or preset or where a key is missing, unknown or out of range.
+    """
+    from gen.presets import preset_file, preset_names
+
+    path = Path(path_or_preset)
+    if not path.exists() and path.name == str(path_or_preset) and path.suffix not in (".yaml", ".yml"):
+        if str(path_or_preset) not in preset_names():
+            raise InputError(f"{path_or_preset}: is neither a file nor a preset; the presets are {', '.join(preset_names())}")
+        path = preset_file(str(path_or_preset))
+    return spec_from(read_yaml(path, "a capture spec"), str(path_or_preset))
+
+
+def with_seed(spec: Spec, seed: int) -> Spec:
+    """The same spec with another seed. Raises InputError where it is out of range."""
+    return spec_from({**spec.plain(), "seed": seed}, "--seed")
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of a spec file, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Spec.model_json_schema(mode="validation")}
+
+
+def _known_keys(data: Any) -> dict[str, tuple[str, ...]]:
+    """Allowed keys of each section, as the kinds that the data chose have them."""
+    models: dict[str, type[BaseModel]] = {
+        "": Spec,
+        "pose": Pose,
+        "material": Substrate,
+        "lights[]": Light,
+        "exposure": AutoExposure,
+    }
+    for section, tag, table in (("camera", "kind", CAMERAS), ("lights", "pattern", LIGHT_PATTERNS)):
+        part = data.get(section) if isinstance(data, dict) else None
+        chosen = table.get(str(part.get(tag))) if isinstance(part, dict) else None
+        if chosen is not None:
+            models[section] = chosen
+    return {section: tuple(model.model_fields) for section, model in models.items()}

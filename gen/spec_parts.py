@@ -1,0 +1,259 @@
+"""The parts of a capture's spec: frozen pydantic models of shape, pose, material, lights, camera and exposure."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
+
+from gen import lights as patterns
+from gen.substrate import alpha_from_roughness
+
+Array = NDArray[np.float64]
+
+
+def _three(value: Any, what: str) -> tuple[float, float, float]:
+    ok = isinstance(value, list | tuple) and len(value) == 3
+    if not ok or any(isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v) for v in value):
+        raise ValueError(f"must be {what}")
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+def _colour(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        value = [value] * 3
+    return _three(value, "one number (grey) or three [r, g, b]")
+
+
+def _reflectance(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if min(value) < 0 or max(value) > 1:
+        raise ValueError("must lie between 0 and 1 in every channel")
+    return value
+
+
+def _irradiance(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if min(value) <= 0:
+        raise ValueError("must be greater than 0 in every channel")
+    return value
+
+
+def _has_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if math.hypot(*value) < 1e-9:
+        raise ValueError("must not be [0, 0, 0]: a direction needs a length")
+    return value
+
+
+def _direction(value: Any) -> Any:
+    return {"direction": value} if isinstance(value, list | tuple) else value
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Whole = Annotated[int, Field(strict=True)]
+YesNo = Annotated[bool, Field(strict=True)]
+Vector = Annotated[tuple[float, float, float], BeforeValidator(lambda v: _three(v, "three numbers [x, y, z]"))]
+_Colour = Annotated[
+    tuple[float, float, float], BeforeValidator(_colour, json_schema_input_type=float | tuple[float, float, float])
+]
+Reflectance = Annotated[_Colour, AfterValidator(_reflectance)]
+Intensity = Annotated[_Colour, AfterValidator(_irradiance)]
+
+
+class Part(BaseModel):
+    """A section of the spec."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Shape(BaseModel):
+    """A shape by name, its parameters beside the name; what is left out takes the shape's default."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    __pydantic_extra__: dict[str, float | int | bool | str]
+
+    name: str = Field(description="name of the shape, such as cylinder or sphere")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters that were given."""
+        return dict(self.model_extra or {})
+
+
+class Pose(Part):
+    """Where the object is: turned about the fixed x, then y, then z axis, then moved."""
+
+    rotation_degrees: Vector = (0.0, 0.0, 0.0)
+    translation_mm: Vector = (0.0, 0.0, 0.0)
+
+    def matrix(self) -> Array:
+        """The rotation from the object's frame to the camera's, (3, 3): Rz Ry Rx."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians(self.rotation_degrees)), np.sin(np.radians(self.rotation_degrees))
+        rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        product: Array = rz @ ry @ rx
+        return product
+
+
+class Substrate(Part):
+    """Glossy plastic or paint: a diffuse base under a specular coat (pbrt-v3's FresnelBlend). Defaults: pbrt's."""
+
+    kind: Literal["substrate"] = "substrate"
+    albedo: Reflectance = Field(default=(0.5, 0.5, 0.5), description="Kd: diffuse reflectance, grey or [r, g, b]")
+    specular: Reflectance = Field(
+        default=(0.5, 0.5, 0.5), description="Ks: specular reflectance facing the surface, grey or [r, g, b]"
+    )
+    alpha: Number | None = Field(default=None, ge=0.001, le=1.63, description="width of the highlight itself; or say roughness")
+    roughness: Number | None = Field(default=None, gt=0, le=1, description="pbrt's roughness (default 0.1); or say alpha")
+    remap: YesNo | None = Field(default=None, description="whether roughness is remapped to alpha as pbrt does (default true)")
+
+    @model_validator(mode="after")
+    def _one_width(self) -> Substrate:
+        if self.alpha is not None and self.roughness is not None:
+            raise ValueError("alpha and roughness both say how wide the highlight is; keep one of them")
+        if self.alpha is not None and self.remap is not None:
+            raise ValueError("remap belongs to roughness; alpha is never remapped")
+        return self
+
+    def width(self) -> float:
+        """Alpha of the half-vector distribution."""
+        if self.alpha is not None:
+            return self.alpha
+        roughness = 0.1 if self.roughness is None else self.roughness
+        return roughness if self.remap is False else alpha_from_roughness(roughness)
+
+
+class Light(Part):
+    """One distant light. A bare [x, y, z] is a light of intensity 1."""
+
+    direction: Annotated[Vector, AfterValidator(_has_length)] = Field(description="towards the light; any length")
+    intensity: Intensity = Field(default=(1.0, 1.0, 1.0), description="irradiance / pi, grey or [r, g, b]")
+
+
+class _Pattern(Part):
+    count: Whole = Field(ge=1, le=1000)
+    intensity: Intensity = Field(default=(1.0, 1.0, 1.0), description="irradiance / pi of every light, grey or [r, g, b]")
+
+
+class Ring(_Pattern):
+    """Lights evenly around the optical axis, all at one tilt from it; with `frontal`, one more on the axis, first."""
+
+    pattern: Literal["ring"]
+    tilt_degrees: Number = Field(gt=0, lt=90)
+    start_degrees: Number = Field(default=0.0, ge=-360, le=360, description="azimuth of the first, counter-clockwise from +x")
+    frontal: YesNo = False
+
+    def directions(self, seed: int) -> Array:
+        return patterns.ring(self.count, self.tilt_degrees, self.frontal, self.start_degrees)
+
+
+class Hemisphere(_Pattern):
+    """Lights spread evenly over the cap up to a tilt (Fibonacci spiral)."""
+
+    pattern: Literal["hemisphere"]
+    max_tilt_degrees: Number = Field(default=60.0, gt=0, lt=90)
+
+    def directions(self, seed: int) -> Array:
+        return patterns.hemisphere(self.count, self.max_tilt_degrees)
+
+
+class Scattered(_Pattern):
+    """Lights drawn at random (by the spec's seed) over the cap up to a tilt, none closer to another than a minimum."""
+
+    pattern: Literal["random"]
+    max_tilt_degrees: Number = Field(default=60.0, gt=0, lt=90)
+    min_spread_degrees: Number = Field(default=15.0, ge=0, lt=90)
+
+    def directions(self, seed: int) -> Array:
+        return patterns.scattered(self.count, self.max_tilt_degrees, self.min_spread_degrees, np.random.default_rng(seed))
+
+
+LIGHT_PATTERNS: dict[str, type[_Pattern]] = {"ring": Ring, "hemisphere": Hemisphere, "random": Scattered}
+
+
+def _lights_kind(value: Any) -> str | None:
+    if isinstance(value, list | tuple):
+        return "explicit"
+    pattern = value.get("pattern") if isinstance(value, dict) else getattr(value, "pattern", None)
+    return pattern if isinstance(pattern, str) else None
+
+
+Explicit = Annotated[tuple[Annotated[Light, BeforeValidator(_direction)], ...], Field(min_length=1, max_length=1000)]
+Lights = Annotated[
+    Annotated[Explicit, Tag("explicit")]
+    | Annotated[Ring, Tag("ring")]
+    | Annotated[Hemisphere, Tag("hemisphere")]
+    | Annotated[Scattered, Tag("random")],
+    Discriminator(
+        _lights_kind,
+        custom_error_type="lights_kind",
+        custom_error_message=f"must be a list of directions, or hold 'pattern:' with one of {', '.join(LIGHT_PATTERNS)}",
+    ),
+]
+
+
+class Orthographic(Part):
+    """Parallel projection."""
+
+    kind: Literal["orthographic"]
+    width_mm: Number = Field(gt=0, description="millimetres across the whole picture's width")
+    distance_mm: Number = Field(default=1000.0, gt=0, description="from the camera to the origin; only depth depends on it")
+
+
+class Perspective(Part):
+    """Pinhole camera, centred unless K says otherwise."""
+
+    kind: Literal["perspective"]
+    distance_mm: Number = Field(gt=0, description="from the camera to the origin")
+    focal_px: Number | None = Field(default=None, gt=0, description="focal length in pixels")
+    fov_degrees: Number | None = Field(default=None, gt=0.1, lt=150, description="horizontal field of view")
+    K: tuple[Vector, Vector, Vector] | None = Field(
+        default=None, description="3x3 intrinsics, OpenCV's: y down, pixel centres at integers"
+    )
+
+    @model_validator(mode="after")
+    def _one_focal_length(self) -> Perspective:
+        if sum(v is not None for v in (self.focal_px, self.fov_degrees, self.K)) != 1:
+            raise ValueError("needs exactly one of focal_px, fov_degrees and K")
+        if self.K is not None:
+            (fx, skew, _), (zero, fy, _), bottom = self.K
+            if fx <= 0 or fy <= 0 or skew != 0 or zero != 0 or bottom != (0.0, 0.0, 1.0):
+                raise ValueError("K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx and fy positive")
+        return self
+
+    def intrinsics(self, width: int, height: int) -> Array:
+        """K, (3, 3), for a picture of that size."""
+        if self.K is not None:
+            return np.array(self.K)
+        focal = self.focal_px or width / 2 / math.tan(math.radians(self.fov_degrees or 0.0) / 2)
+        return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+
+
+CAMERAS: dict[str, type[Part]] = {"orthographic": Orthographic, "perspective": Perspective}
+
+
+class AutoExposure(Part):
+    """One exposure for the whole capture: the percentile of luma inside the mask, over all pictures, is brought to the level."""
+
+    percentile: Number = Field(default=90.0, gt=0, le=100)
+    level: Number = Field(default=0.6, gt=0, le=1)
+
+
+def _exposure(value: Any) -> Any:
+    if value == "auto":
+        return AutoExposure()
+    if isinstance(value, bool) or not isinstance(value, int | float | dict | AutoExposure):
+        raise ValueError("must be auto, a number, or {percentile: P, level: L}")
+    if isinstance(value, int | float) and not (math.isfinite(value) and value > 0):
+        raise ValueError("must be a finite number greater than 0")
+    return value
+
+
+_AutoOrNumber = Annotated[
+    Annotated[AutoExposure, Tag("auto")] | Annotated[Number, Tag("number")],
+    Discriminator(lambda v: "number" if isinstance(v, int | float) else "auto"),
+]
+Exposure = Annotated[_AutoOrNumber, BeforeValidator(_exposure, json_schema_input_type=Literal["auto"] | float | AutoExposure)]
+Camera = Annotated[Orthographic | Perspective, Discriminator("kind")]

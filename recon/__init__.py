@@ -1,0 +1,1 @@
+"""The measurement: gloss removal, repair, photometric stereo, integration, mesh, comparison and report."""

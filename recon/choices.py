@@ -1,0 +1,45 @@
+"""From the words of a command line to the settings of a measurement."""
+
+from __future__ import annotations
+
+from gen.errors import InputError
+from recon.pipeline import Settings
+
+
+def settings_from(
+    gloss: str | None,
+    inpaint: str | None,
+    normals: str | None,
+    height: str | None,
+    threshold: str,
+    dilate: int,
+    saturated: str,
+    shadows: str,
+) -> Settings:
+    """`Settings` of option values, None taking the default. Raises InputError for an unknown name or an impossible value."""
+    given = {"gloss": gloss, "repair": inpaint, "normals": normals, "height": height}
+    names = {key: value for key, value in given.items() if value is not None}
+    return Settings(**names, threshold=threshold_value(threshold), dilate=dilate, saturated=saturated, shadows=shadows)
+
+
+def threshold_value(text: str) -> float | str:
+    """ "auto", or the number that the text says. Raises InputError for anything else."""
+    if text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--threshold {text}: must be a positive number or auto") from None
+
+
+def frame_numbers(text: str | None) -> list[int] | None:
+    """0-based indices of a list such as "1,3,5" of numbers from 1; None for None. Raises InputError for anything else."""
+    if text is None:
+        return None
+    try:
+        numbers = [int(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError(f"--lights {text}: must be numbers from 1 with commas between them, such as 1,3,5") from None
+    if any(number < 1 for number in numbers):
+        raise InputError(f"--lights {text}: pictures are numbered from 1")
+    return [number - 1 for number in numbers]

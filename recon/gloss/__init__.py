@@ -1,0 +1,30 @@
+"""Gloss removers that need no training: Capture -> Layers. The one step that the classical ones share is `remove`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gen.capture import Bools, Capture, Fault, Floats
+from recon.registry import Layers
+
+
+def workable(capture: Capture) -> Bools:
+    """(K, H, W) bool: the samples a remover works on, inside the mask and not missing."""
+    return capture.mask[None] & ((capture.flags & Fault.MISSING) == 0)
+
+
+def remove(capture: Capture, gloss: Floats, confidence: Floats | None = None) -> Layers:
+    """Layers of a capture whose gloss is known as the share of it that has the light's own colour.
+
+    gloss: (K, H, W) specular radiance / light intensity, the same in all three channels (the neutral interface of the dichromatic
+    model). It is held between 0 and the sample's smallest channel, beyond which the diffuse part would be negative, and is 0
+    outside the mask and where the sample is missing. confidence: (K, H, W), handed on.
+    Source: S. Shafer, "Using color to separate reflection components" (1985).
+    """
+    smallest = capture.reflectance().min(axis=3)
+    bounded = np.clip(np.nan_to_num(gloss, nan=0.0, posinf=0.0, neginf=0.0), 0, np.maximum(smallest, 0))
+    bounded = np.where(workable(capture), bounded, 0).astype(np.float32)
+    specular = bounded[..., None] * capture.irradiance[:, None, None, :].astype(np.float32)
+    # The product may round to a little more than the channel it came from.
+    np.minimum(specular, np.maximum(capture.images, 0), out=specular)
+    return Layers(diffuse=capture.images - specular, specular=specular, confidence=confidence)

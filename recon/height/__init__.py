@@ -1,0 +1,1 @@
+"""Integration: from normals to height. The names are in `recon.registry.HEIGHT`."""

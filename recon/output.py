@@ -1,0 +1,90 @@
+"""What a measurement leaves on disk: maps, layers, defects, mesh, metrics.json and report.html, all or nothing."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gen.exr import unstack, write_exr
+from gen.files import writing_folder
+from gen.images import write_png
+from gen.parts import PARTS
+from recon.compare import Comparison, compare, shape_metrics
+from recon.mesh import write_mesh
+from recon.pictures import normal_picture, tone, white_of
+from recon.pipeline import Progress, Shape
+
+Floats = NDArray[np.float32]
+
+
+def write_shape(shape: Shape, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Write everything that a shape holds into `folder` (made whole under a temporary name, then renamed). Returns the metrics.
+
+    normal.exr (X Y Z and the uncertainty in degrees), normal.png; height.exr (Z, and the points), height.png (16-bit, its range
+    in metrics.json); albedo.exr; diffuse/, specular/, matte/ (EXR and a PNG to look at, numbered like the capture's frames);
+    defects/; mesh.ply, mesh.glb; metrics.json; report.html (left out, with a line on stderr, where its package is missing).
+    Raises InputError where the folder cannot be written.
+    """
+    with writing_folder(folder) as temporary:
+        return write_into(shape, temporary, progress)
+
+
+def write_into(shape: Shape, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """`write_shape` into a folder that is there already; for callers that put more beside it."""
+    comparison = compare(shape, progress)
+    if progress is not None:
+        progress("writing")
+    _write_maps(shape, folder)
+    _write_layers(shape, folder)
+    mesh = shape.mesh()
+    write_mesh(mesh, folder / "mesh.ply")
+    write_mesh(mesh, folder / "mesh.glb")
+    metrics = shape_metrics(shape, comparison)
+    metrics["mesh"] = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces), "unit": shape.height.unit}
+    metrics["report"] = _write_report(shape, comparison, metrics, folder)
+    from gen.files import write_json
+
+    write_json(folder / "metrics.json", metrics)
+    return metrics
+
+
+def _write_maps(shape: Shape, folder: Path) -> None:
+    normals, height = shape.normals, shape.height
+    write_exr(folder / "normal.exr", unstack("normal", "XYZ", normals.normal) | {"uncertainty.V": normals.uncertainty})
+    write_png(folder / "normal.png", normal_picture(normals.normal, normals.measurable))
+    write_exr(folder / "height.exr", {"height.Z": height.height} | unstack("points", "XYZ", height.points))
+    known = np.isfinite(height.height)
+    low, high = float(height.height[known].min()), float(height.height[known].max())
+    scaled = np.where(known, (height.height - low) / max(high - low, 1e-30), 0)
+    write_png(folder / "height.png", np.rint(scaled * 65535).astype(np.uint16))
+    write_exr(folder / "albedo.exr", unstack("", "RGB", normals.albedo))
+
+
+def _write_layers(shape: Shape, folder: Path) -> None:
+    capture, layers = shape.capture, shape.layers
+    white = white_of(capture.images, capture.mask)
+    stacks = {"diffuse": layers.diffuse, "specular": layers.specular, "matte": layers.matte}
+    for name, stack in stacks.items():
+        for k in range(capture.count) if stack is not None else ():
+            assert stack is not None
+            write_exr(folder / name / f"{k + 1:03d}.exr", unstack("", "RGB", stack[k]))
+            write_png(folder / name / f"{k + 1:03d}.png", tone(stack[k], white))
+    for k in range(capture.count):
+        write_png(folder / "defects" / f"{k + 1:03d}.png", shape.defects.mask[k].astype(np.uint8) * 255)
+
+
+def _write_report(shape: Shape, comparison: Comparison, metrics: dict[str, Any], folder: Path) -> str | None:
+    from importlib.util import find_spec
+
+    if find_spec("jinja2") is None:
+        print(f"degloss: {PARTS['report'].line}", file=sys.stderr)
+        return None
+    from recon.page import write_page
+    from recon.report import report_page
+
+    write_page(folder / "report.html", report_page(shape, comparison, metrics))
+    return "report.html"

@@ -1,0 +1,357 @@
+"""An offline page of measurements: figures, tables, pictures to leaf through, and the mesh to turn.
+
+The result is one self-contained HTML file. It asks the network for nothing, and its Content-Security-Policy holds the hashes of
+its own style and scripts, so that text from a capture (file names above all) can never run. Light and dark, desk and phone.
+
+The mesh is shown by a small WebGL viewer of our own (`templates/viewer.js`), not by trimesh's HTML scene: that one carries
+744 kB of three.js in an iframe, needs 'unsafe-inline' scripts, knows neither the page's dark mode nor the capture's camera, and
+has no scale bar. Ours is orthographic, as a measuring view should be, starts with the camera's view, and weighs 11 kB.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gen.errors import InputError, MissingPart
+from gen.files import writing
+from recon.pictures import Picture, colour_strip, photo_bytes, png_bytes
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A colour bar as a legend, drawn as text and so sharp in both themes.
+
+    lo, hi: the values at the two ends, in `unit`. colours: a name of `recon.pictures.COLOURS`. format: of the numbers.
+    above: whether values beyond exist in the map and are shown in the last colour: that end is marked ≥ (a negative low end ≤).
+    """
+
+    lo: float
+    hi: float
+    unit: str = ""
+    colours: str = "error"
+    format: str = ".3g"
+    above: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """One picture. image: (H, W, 3) uint8. legend: a `Bar`, a picture (such as `sphere_legend`), or None."""
+
+    title: str
+    image: Picture
+    caption: str = ""
+    legend: Bar | Picture | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """Figures side by side, at most `columns` a line (default: all of them up to 5); fewer on a phone."""
+
+    figures: Sequence[Figure]
+    columns: int | None = None
+    title: str = ""
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table. format: Python's format of its numbers, such as ".2f". unit: shown under the title."""
+
+    title: str
+    format: str = ".2f"
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table. Numbers are set right-aligned by their column's format, None and NaN as a dash, text as it is.
+
+    columns: `Column`s, or titles alone. rows: one value a column. highlight: indices of rows to stress.
+    reference: indices of rows that are a yardstick (such as the true matte) and are set apart.
+    """
+
+    title: str
+    columns: Sequence[Column | str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+    highlight: Sequence[int] = ()
+    reference: Sequence[int] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Gallery:
+    """Pictures of one view: tabs choose the layer, a slider the frame; the keyboard does both.
+
+    layers: name of the layer -> one (H, W, 3) uint8 picture a frame; every layer has as many. frames: names of the frames.
+    notes: name of the layer -> a line that says what it is (may lack layers).
+    """
+
+    title: str
+    layers: Mapping[str, Sequence[Picture]]
+    frames: Sequence[str] = ()
+    caption: str = ""
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Wipe:
+    """Two pictures of one view, (H, W, 3) uint8 each and of one size, with a divider to drag between them."""
+
+    title: str
+    left: Picture
+    right: Picture
+    names: tuple[str, str] = ("before", "after")
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Series:
+    """A curve of a `Plot`. x, y: numbers; NaN in y breaks the line. dashed: for a yardstick such as the truth."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over a common axis (a height profile, say), at most six. x_title, y_title: with their units."""
+
+    title: str
+    series: Sequence[Series]
+    x_title: str = ""
+    y_title: str = ""
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Note:
+    """A line that must not be missed, such as "no scale is known: heights are in pixels"."""
+
+    text: str
+
+
+Part = Figure | Row | Table | Gallery | Wipe | Plot | Note
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A chapter of the page. text: paragraphs, parted by blank lines."""
+
+    title: str
+    text: str = ""
+    parts: Sequence[Part] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """The whole page. lead: what was measured and what came out, in a paragraph or two. facts: label -> value, shown at the top.
+
+    mesh: in the camera frame (x right, y up, z to the viewer), its lengths in `mesh_unit` ("m" or "px"). mesh_colours: (V, 3)
+    uint8 sRGB, the albedo of its vertices; None takes the mesh's own vertex colours where it has them. More than
+    `MAX_TRIANGLES` are clustered for the page (the file beside it keeps them all), and the page says so.
+    """
+
+    title: str
+    lead: str = ""
+    sections: Sequence[Section] = ()
+    mesh: trimesh.Trimesh | None = None
+    facts: Mapping[str, str] = field(default_factory=dict)
+    mesh_colours: Picture | None = None
+    mesh_unit: str = "m"
+    mesh_caption: str = ""
+    footer: str = ""
+
+
+MAX_TRIANGLES = 150_000
+"""The most triangles that the page's viewer is given."""
+
+
+def write_page(path: str | Path, page: Page) -> None:
+    """The page as one HTML file, by a temporary name. Raises InputError where it cannot be written."""
+    text = render_page(page)
+    with writing(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def render_page(page: Page) -> str:
+    """The page as one self-contained HTML text. Raises InputError where parts do not fit together, MissingPart without jinja2."""
+    try:
+        import jinja2
+    except ImportError as error:
+        raise MissingPart("the report needs jinja2; pip install 'degloss[report]'") from error
+
+    loader = jinja2.PackageLoader("recon", "templates")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    style = _template("page.css")
+    script = "\n".join([_template("page.js"), *([_template("viewer.js")] if page.mesh is not None else [])])
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    ids = (f"p{i}" for i in count(1))
+    return environment.get_template("page.html").render(
+        page=page,
+        lead=_paragraphs(page.lead),
+        policy=policy,
+        style=style,
+        script=script,
+        facts=list(page.facts.items()),
+        mesh=None if page.mesh is None else _mesh_view(page),
+        sections=[
+            {"id": f"s{i}", "title": s.title, "paragraphs": _paragraphs(s.text), "parts": [_part(part, ids) for part in s.parts]}
+            for i, s in enumerate(page.sections, 1)
+        ],
+    )
+
+
+def _part(part: Part, ids: Iterator[str]) -> dict[str, Any]:
+    """What the template needs of a part."""
+    view: dict[str, Any] = {"kind": type(part).__name__.lower(), "id": next(ids), "part": part}
+    match part:
+        case Figure():
+            view |= {"kind": "row", "columns": 1, "title": "", "caption": "", "figures": [_figure(part)]}
+        case Row():
+            if not part.figures:
+                raise InputError(f"the row of figures {part.title!r} is empty")
+            columns = part.columns or min(len(part.figures), 5)
+            if not 1 <= columns <= 6:
+                raise InputError(f"a row of figures has 1 to 6 columns, not {columns}")
+            figures = [_figure(f) for f in part.figures]
+            view |= {"columns": columns, "title": part.title, "caption": part.caption, "figures": figures}
+        case Table():
+            view |= _table(part)
+        case Gallery():
+            view |= _gallery(part)
+        case Wipe():
+            if part.left.shape != part.right.shape:
+                raise InputError(f"the two pictures of {part.title!r} differ in size: {part.left.shape} and {part.right.shape}")
+            view |= {"left": _image(part.left, photo=True), "right": _image(part.right, photo=True)}
+        case Plot():
+            from recon.page_plot import curves
+
+            view |= {"svg": curves(part)}
+    return view
+
+
+def _figure(figure: Figure) -> dict[str, Any]:
+    legend = figure.legend
+    view: dict[str, Any] = {
+        "title": figure.title,
+        "caption": figure.caption,
+        "image": _image(figure.image),
+        "bar": None,
+        "key": None,
+    }
+    if isinstance(legend, Bar):
+        values = (legend.lo, (legend.lo + legend.hi) / 2, legend.hi)
+        space = "" if legend.unit in ("", "°", "%") else "\u202f"
+        ends = [_number(v, legend.format) + space + legend.unit for v in values]
+        if legend.above:
+            ends[2] = "≥\u202f" + ends[2]
+            ends[0] = "≤\u202f" + ends[0] if legend.lo < 0 else ends[0]
+        view["bar"] = {"strip": _image(colour_strip(legend.colours, 128)), "ends": ends}
+    elif legend is not None:
+        view["key"] = _image(legend)
+    return view
+
+
+def _table(table: Table) -> dict[str, Any]:
+    columns = [Column(c) if isinstance(c, str) else c for c in table.columns]
+    rows: list[dict[str, Any]] = []
+    for i, row in enumerate(table.rows):
+        if len(row) != len(columns):
+            raise InputError(f"row {i + 1} of the table {table.title!r} has {len(row)} cells for {len(columns)} columns")
+        cells = [_cell(value, column.format) for value, column in zip(row, columns, strict=True)]
+        kind = "highlight" if i in table.highlight else "reference" if i in table.reference else ""
+        rows.append({"kind": kind, "cells": cells})
+    numeric = [any(row["cells"][j]["number"] for row in rows) for j in range(len(columns))]
+    return {"columns": list(zip(columns, numeric, strict=True)), "rows": rows}
+
+
+def _gallery(gallery: Gallery) -> dict[str, Any]:
+    counts = {len(pictures) for pictures in gallery.layers.values()}
+    if len(counts) != 1 or 0 in counts:
+        raise InputError(f"the layers of {gallery.title!r} must hold the same number of pictures, at least one")
+    total = counts.pop()
+    frames = list(gallery.frames) or [str(i + 1) for i in range(total)]
+    if len(frames) != total:
+        raise InputError(f"{gallery.title!r} has {len(frames)} names for {total} frames")
+    layers = [
+        {"name": name, "note": gallery.notes.get(name, ""), "images": [_image(p, photo=True) for p in pictures]}
+        for name, pictures in gallery.layers.items()
+    ]
+    return {"layers": layers, "frames": frames}
+
+
+def _image(picture: Picture, photo: bool = False) -> dict[str, Any]:
+    """Source, size, and whether it is so small that its pixels should show. photo: may be a JPEG where a PNG is large."""
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or 0 in picture.shape:
+        raise InputError(f"a picture of a page must be (H, W, 3) uint8, got {picture.shape} {picture.dtype}")
+    data, kind = photo_bytes(picture) if photo else (png_bytes(picture), "image/png")
+    H, W = picture.shape[:2]
+    return {"src": f"data:{kind};base64,{base64.b64encode(data).decode()}", "width": W, "height": H, "small": max(H, W) <= 160}
+
+
+def _cell(value: object, form: str) -> dict[str, Any]:
+    """The text of a cell, its plain value for CSV, and whether it is a number."""
+    if value is None:
+        return {"text": "–", "plain": "", "number": False}
+    if isinstance(value, bool | np.bool_):
+        return {"text": "yes" if value else "no", "plain": "yes" if value else "no", "number": False}
+    if isinstance(value, int | float | np.integer | np.floating):
+        number = float(value)
+        if math.isnan(number):
+            return {"text": "–", "plain": "", "number": True}
+        whole = isinstance(value, int | np.integer) and form[-1:] in "feg%"
+        return {
+            "text": f"{value:,d}".replace(",", "\u202f") if whole else _number(number, form),
+            "plain": str(int(value)) if whole else repr(number),
+            "number": True,
+        }
+    return {"text": str(value), "plain": str(value), "number": False}
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form).replace("-", "\N{MINUS SIGN}")
+
+
+def _paragraphs(text: str) -> list[str]:
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def _mesh_view(page: Page) -> dict[str, Any]:
+    from recon.page_mesh import pack
+
+    packed = pack(page.mesh, page.mesh_colours, MAX_TRIANGLES)
+    return {
+        "header": packed.header | {"unit": page.mesh_unit},
+        "data": base64.b64encode(packed.data).decode(),
+        "shown": packed.header["triangles"],
+        "total": packed.total,
+        "colours": packed.header["colours"],
+    }
+
+
+def _template(name: str) -> str:
+    return files("recon").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

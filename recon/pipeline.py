@@ -1,0 +1,204 @@
+"""The measurement from end to end: remove the gloss, find and repair the defects, solve for normals, integrate, all by name.
+
+capture = read_capture("photos/bolt")
+shape = measure(capture, gloss="chromaticity", repair="telea", normals="least-squares", height="quadratic")
+print(shape.report())
+shape.write("out/bolt")
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gen.capture import Capture, Fault, require_spanning_lights
+from gen.errors import InputError
+from recon.conditioning import leave_out
+from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from recon.defects import Defects
+
+Progress = Callable[[str], None]
+"""Called with the name of each step as it begins."""
+
+GLOSSY_STEPS = ("removing the gloss", "repairing", "solving for normals", "integrating")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The choices of a measurement, by name.
+
+    gloss, repair, normals, height: names of `recon.registry`; "none" leaves the step out.
+    threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto".
+    dilate: pixels by which defects grow. saturated, shadows: "drop" leaves clipped or dark samples out where the other lights
+    still determine the normal, "keep" uses them like all others (dark ones are kept by default: with few lights they are evidence
+    too).
+    Raises InputError for an unknown name or an impossible value.
+    """
+
+    gloss: str = "chromaticity"
+    repair: str = "telea"
+    normals: str = "least-squares"
+    height: str = "quadratic"
+    threshold: float | str = "auto"
+    dilate: int = 1
+    saturated: str = "drop"
+    shadows: str = "keep"
+
+    def __post_init__(self) -> None:
+        for registry, name in ((GLOSS, self.gloss), (REPAIR, self.repair), (NORMALS, self.normals), (HEIGHT, self.height)):
+            registry[name]
+        if isinstance(self.threshold, str):
+            if self.threshold != "auto":
+                raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
+        elif not (np.isfinite(self.threshold) and self.threshold > 0):
+            raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
+        if self.dilate < 0:
+            raise InputError(f"--dilate {self.dilate}: must be 0 or more pixels")
+        for option, value in (("--saturated", self.saturated), ("--shadows", self.shadows)):
+            if value not in ("keep", "drop"):
+                raise InputError(f"{option} {value}: must be keep or drop")
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A measured surface, and how it came about.
+
+    consumed: which pictures photometric stereo worked on: "pictures" (no gloss removed), "matte" or "diffuse".
+    images: (K, H, W, 3), those pictures after repair. weights: (K, H, W), what each sample counted.
+    seconds: the time each step took.
+    """
+
+    capture: Capture
+    settings: Settings
+    layers: Layers
+    consumed: str
+    defects: Defects
+    images: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    normals: Normals
+    height: Height
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface as a mesh in the camera frame, in `height.unit`, with the albedo as vertex colours."""
+        from recon.mesh import surface_mesh
+
+        return surface_mesh(self.height.points, self.normals.normal, self.normals.albedo)
+
+    def metrics(self) -> dict[str, Any]:
+        """Settings, counts and times, and the errors against the capture's truth where there is truth (see `recon.compare`)."""
+        from recon.compare import shape_metrics
+
+        return shape_metrics(self)
+
+    def report(self) -> str:
+        """A short table for the terminal."""
+        from recon.tables import text_report
+
+        return text_report(self.metrics())
+
+    def write(self, folder: str | Path) -> dict[str, Any]:
+        """Maps, layers, mesh, metrics.json and report.html into a folder, all or nothing. Returns the metrics."""
+        from recon.output import write_shape
+
+        return write_shape(self, Path(folder))
+
+
+def measure(
+    capture: Capture,
+    gloss: str = Settings.gloss,
+    repair: str = Settings.repair,
+    normals: str = Settings.normals,
+    height: str = Settings.height,
+    *,
+    threshold: float | str = Settings.threshold,
+    dilate: int = Settings.dilate,
+    saturated: str = Settings.saturated,
+    shadows: str = Settings.shadows,
+    progress: Progress | None = None,
+) -> Shape:
+    """Measure the shape of a capture. The choices are those of `Settings`.
+
+    Raises InputError where a name is unknown, fewer than three lights span space, or nothing can be measured.
+    """
+    settings = Settings(gloss, repair, normals, height, threshold, dilate, saturated, shadows)
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "gloss", GLOSSY_STEPS[0], progress):
+        layers = remove_gloss(capture, settings)
+    return reconstruct(capture, layers, settings, progress, seconds)
+
+
+def remove_gloss(capture: Capture, settings: Settings) -> Layers:
+    """The layers that the named remover finds. Raises InputError where the lights cannot serve photometric stereo."""
+    require_spanning_lights(capture.lights, capture.source)
+    layers: Layers = GLOSS.load(settings.gloss)(capture)
+    return layers
+
+
+def reconstruct(
+    capture: Capture,
+    layers: Layers,
+    settings: Settings,
+    progress: Progress | None = None,
+    seconds: dict[str, float] | None = None,
+) -> Shape:
+    """From a remover's layers to the shape: defects, repair, normals, height. Raises InputError where nothing can be measured."""
+    from recon.defects import find_defects
+
+    require_spanning_lights(capture.lights, capture.source)
+    seconds = {} if seconds is None else seconds
+    consumed = "pictures" if settings.gloss == "none" else "diffuse" if layers.matte is None else "matte"
+    pictures = layers.diffuse if layers.matte is None else layers.matte
+    with _timed(seconds, "repair", GLOSSY_STEPS[1], progress):
+        defects = find_defects(layers.specular, capture, settings.threshold, settings.dilate, pictures)
+        repaired: Repaired = REPAIR.load(settings.repair)(pictures, defects.mask, capture)
+    with _timed(seconds, "normals", GLOSSY_STEPS[2], progress):
+        weights = sample_weights(capture, layers, repaired, settings)
+        normals: Normals = NORMALS.load(settings.normals)(
+            capture.reflectance(repaired.images), capture.lights, capture.mask, weights
+        )
+        if not normals.measurable.any():
+            raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
+    with _timed(seconds, "height", GLOSSY_STEPS[3], progress):
+        height: Height = HEIGHT.load(settings.height)(normals.normal, normals.measurable, capture.scale)
+    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, dict(seconds))
+
+
+def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, settings: Settings) -> NDArray[np.float32]:
+    """What each sample counts, (K, H, W): the repair's weight times the remover's confidence, 0 where missing.
+
+    Clipped samples that no repair has filled, and dark ones where asked, are left out where the other lights determine the
+    normal.
+    """
+    weights = repaired.weights
+    if layers.confidence is not None:
+        weights = weights * layers.confidence
+    weights = np.where(capture.flags & Fault.MISSING, 0, weights).astype(np.float32)
+    unwanted = Fault.NONE
+    if settings.saturated == "drop" and settings.repair == "none":
+        unwanted |= Fault.CLIPPED
+    if settings.shadows == "drop":
+        unwanted |= Fault.DARK
+    if not unwanted:
+        return weights
+    return leave_out(weights, (capture.flags & int(unwanted)) > 0, capture.lights)
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], key: str, title: str, progress: Progress | None) -> Iterator[None]:
+    if progress is not None:
+        progress(title)
+    start = time.perf_counter()
+    yield
+    seconds[key] = time.perf_counter() - start

@@ -1,0 +1,258 @@
+"""What a report says: the page of a measurement, composed of the parts of `recon.page`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.compare import LABELS, Comparison, true_height
+from recon.metrics import angular_error, height_bytes, normal_bytes
+from recon.page import Bar, Column, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
+from recon.pictures import (
+    Picture,
+    difference_picture,
+    difference_scale,
+    error_picture,
+    fit,
+    height_picture,
+    normal_picture,
+    overlay,
+    relief_picture,
+    signed_picture,
+    sphere_legend,
+    tone,
+    white_of,
+)
+from recon.pipeline import Shape
+from recon.tables import PAPER_COLUMNS, figure_table, length_text, truth_columns, unit_of
+
+Metrics = Mapping[str, Any]
+
+MAX_SIDE = 512
+"""Longest side of a picture in the page, in pixels."""
+
+
+def report_page(shape: Shape, comparison: Comparison, metrics: Metrics) -> Page:
+    """The page of one measurement: pictures, layers, normals, heights and, where there is truth, the comparison (Fig. 4.2 to 4.5)."""
+    capture, height = shape.capture, shape.height
+    sections = [_results(comparison, metrics), _pictures(shape), _maps(shape)]
+    if len(comparison.rows) > 1:
+        sections.append(_comparison(comparison))
+    sections.append(_method(shape, metrics))
+    s = shape.settings
+    span = metrics["height"]["high"] - metrics["height"]["low"]
+    facts = {
+        "pictures": f"{capture.count} of {capture.size[1]} x {capture.size[0]}",
+        "measured": f"{metrics['pixels']:,} pixels, {metrics['measured percent']:.1f} %",
+        "gloss": s.gloss,
+        "repair": s.repair,
+        "normals": f"{s.normals}, on the {shape.consumed}",
+        "height": s.height,
+        "height range": length_text(span, height.unit),
+    }
+    lead = f"{capture.count} pictures of one view under {capture.count} known lights, measured by photometric stereo."
+    if height.unit == "px":
+        lead += " No scale is known for this capture, so heights are in pixels."
+    return Page(
+        title=Path(capture.source).name or capture.source,
+        lead=lead,
+        sections=sections,
+        mesh=shape.mesh(),
+        facts=facts,
+        mesh_unit=height.unit,
+        mesh_caption="The measured surface. mesh.ply and mesh.glb beside this page hold every triangle.",
+        footer="Normals: x right, y up, z to the viewer. Radiance is linear; pictures are shown as sRGB at one exposure.",
+    )
+
+
+def _results(comparison: Comparison, metrics: Metrics) -> Section:
+    rows = metrics["comparison"]
+    names = list(rows)
+    highlight = [names.index(name) for name in ("repaired", "removed") if name in names][:1]
+    reference = [names.index(name) for name in ("true diffuse", "true matte") if name in names]
+    captions = {
+        "Errors against the true shape": "Mean angle to the true normals: over the mask, less its rim, and where every light reaches. "
+        "Gap closed: 0 is as bad as the glossy pictures, 1 as good as the non-glossy ones; a dash where there is less than one "
+        "degree to gain. Height: root mean square error after the best shift.",
+        "Deviation from the non-glossy result": "The paper's protocol (Fig. 4.2 to 4.5): mean angle to the normals from the non-glossy "
+        "pictures, and mean squared errors of 8-bit normal maps and of heights scaled by the non-glossy result's range, inside "
+        "the mask and over the full frame.",
+    }
+    tables: list[Part] = []
+    for (title, caption), wanted in zip(captions.items(), (truth_columns(rows), PAPER_COLUMNS), strict=True):
+        columns, cells = figure_table(rows, wanted)
+        if len(columns) > 1:
+            tables.append(Table(title, columns, cells, caption, highlight, reference))
+    return Section("Result", "", tables or [Note("This capture holds no truth to compare with, so no errors are given.")])
+
+
+def _pictures(shape: Shape) -> Section:
+    capture, layers = shape.capture, shape.layers
+    white = white_of(capture.images, capture.mask)
+
+    def shown(stack: NDArray[np.float32]) -> list[Picture]:
+        return [fit(tone(picture, white), MAX_SIDE) for picture in stack]
+
+    tabs: dict[str, list[Picture]] = {"input": shown(capture.images)}
+    notes = {"input": "the pictures as they came"}
+    if shape.settings.gloss != "none":
+        tabs |= {"gloss removed": shown(layers.diffuse), "specular": shown(layers.specular)}
+        notes |= {"gloss removed": f"what the remover {shape.settings.gloss} leaves", "specular": "what it takes away"}
+        if layers.matte is not None:
+            tabs["matte"] = shown(layers.matte)
+            notes["matte"] = "the predicted gloss-free twin, which photometric stereo works on"
+    if shape.settings.repair != "none":
+        tabs["defects"] = [
+            fit(overlay(tone(picture, white), mask), MAX_SIDE)
+            for picture, mask in zip(capture.images, shape.defects.mask, strict=True)
+        ]
+        tabs["repaired"] = shown(shape.images)
+        notes |= {"defects": "samples whose specular part exceeds the threshold", "repaired": f"after {shape.settings.repair}"}
+    for name in ("diffuse", "specular", "matte"):
+        stack = getattr(capture.truth, name)
+        if stack is not None:
+            tabs[f"true {name}"] = shown(stack)
+            notes[f"true {name}"] = "rendered truth"
+    parts: list[Part] = [
+        Row(
+            [Figure(name, picture) for name, picture in zip(capture.names, tabs["input"], strict=True)][:10],
+            columns=5,
+            title="The pictures",
+        ),
+        Gallery("Layer by layer", tabs, capture.names, "Tabs choose the layer, the slider the light.", notes),
+    ]
+    if shape.settings.gloss != "none":
+        parts.append(
+            Wipe("Before and after", tabs["input"][0], shown(shape.images)[0], ("input", "gloss removed"), "The first picture.")
+        )
+    return Section("Pictures", "", parts)
+
+
+def _maps(shape: Shape) -> Section:
+    normals, height = shape.normals, shape.height.height
+    factor, unit = unit_of(shape.height.unit)
+    low, high = _span(height)
+    step = (shape.capture.scale.metres_per_pixel or 1.0) if shape.height.unit == "m" else 1.0
+    spread = normals.uncertainty[np.isfinite(normals.uncertainty)]
+    figures = [
+        Figure("Normals", fit(normal_picture(normals.normal, normals.measurable), MAX_SIDE), legend=sphere_legend(96)),
+        Figure(
+            "Height",
+            fit(height_picture(height, low, high, "height"), MAX_SIDE),
+            legend=Bar(low * factor, high * factor, unit, "height"),
+        ),
+        Figure("Shaded relief", fit(relief_picture(height, low, high, step), MAX_SIDE), "Lit from the upper left."),
+    ]
+    white = white_of(normals.albedo[None], normals.measurable)
+    figures.append(Figure("Albedo", fit(tone(normals.albedo, white), MAX_SIDE), "Scaled to its 99th percentile."))
+    if spread.size:
+        top = max(float(np.percentile(spread, 95)), 0.1)
+        picture = fit(error_picture(normals.uncertainty, top=top), MAX_SIDE)
+        figures.append(
+            Figure(
+                "Uncertainty",
+                picture,
+                "One standard deviation of the normal, from the fit's residual.",
+                Bar(0, top, "deg", "error", ".1f", True),
+            )
+        )
+    true = true_height(shape.capture)
+    series = [Series("measured", *_profile(height, shape.capture.mask, factor))]
+    if true is not None and shape.height.unit == "m":
+        series.append(Series("true", *_profile(_shifted(true, height), shape.capture.mask, factor), dashed=True))
+    row = int(np.median(np.nonzero(shape.capture.mask)[0]))
+    plot = Plot(f"Height along row {row + 1}", series, "column, px", f"height, {unit}")
+    return Section("Shape", "", [Row(figures, columns=3), plot])
+
+
+def _comparison(comparison: Comparison) -> Section:
+    rows, truth = comparison.rows, comparison.capture.truth
+    parts: list[Part] = []
+    normals = {
+        name: fit(normal_picture(shape.normals.normal, shape.normals.measurable), MAX_SIDE) for name, shape in rows.items()
+    }
+    parts.append(Row([Figure(LABELS[name], picture) for name, picture in normals.items()], columns=3, title="Normal maps"))
+    low, high = comparison.height_range()
+    factor, unit = unit_of(next(iter(rows.values())).height.unit)
+    heights = {name: height_picture(shape.height.height, low, high) for name, shape in rows.items()}
+    bar = Bar(low * factor, high * factor, unit, "grey")
+    figures = [Figure(LABELS[name], fit(picture, MAX_SIDE), legend=bar) for name, picture in heights.items()]
+    parts.append(Row(figures, columns=3, title="Height maps", caption="One scale for all: the range of the non-glossy result."))
+    if comparison.reference is not None:
+        parts += _differences(comparison)
+    if truth.normals is not None:
+        errors = {name: angular_error(shape.normals.normal, truth.normals) for name, shape in rows.items()}
+        known = np.concatenate([e[np.isfinite(e)] for e in errors.values()])
+        top = float(np.clip(np.ceil(np.percentile(known, 95)), 1, 90))
+        scale = Bar(0, top, "deg", "error", ".0f", True)
+        figures = [
+            Figure(LABELS[name], fit(error_picture(e, comparison.capture.mask, top), MAX_SIDE), legend=scale)
+            for name, e in errors.items()
+        ]
+        parts.append(Row(figures, columns=3, title="Angle to the true normals"))
+    true = true_height(comparison.capture)
+    if true is not None and unit == "mm":
+        gaps = {name: (shape.height.height - _shifted(true, shape.height.height)) * factor for name, shape in rows.items()}
+        top = float(np.nanpercentile(np.abs(np.stack(list(gaps.values()))), 98)) or 1.0
+        scale = Bar(-top, top, unit, "signed", "+.2f")
+        figures = [Figure(LABELS[name], fit(signed_picture(gap, top=top), MAX_SIDE), legend=scale) for name, gap in gaps.items()]
+        parts.append(
+            Row(figures, columns=3, title="Height error", caption="After the best shift. Orange is too high, blue too low.")
+        )
+    return Section("Comparison", "The same solver and integrator on different pictures of the same capture.", parts)
+
+
+def _differences(comparison: Comparison) -> list[Part]:
+    """Difference images against the non-glossy result, as in the paper's Fig. 4.3 to 4.5."""
+    reference = comparison.reference
+    assert reference is not None
+    span = comparison.height_range()
+
+    def height_rgb(shape: Shape) -> Picture:
+        return np.repeat(height_bytes(shape.height.height, *span)[..., None], 3, axis=2)
+
+    others = {name: shape for name, shape in comparison.rows.items() if shape is not reference}
+    parts: list[Part] = []
+    for title, picture in (("normal maps", lambda shape: normal_bytes(shape.normals.normal)), ("height maps", height_rgb)):
+        pairs = {name: (picture(shape), picture(reference)) for name, shape in others.items()}
+        scale = difference_scale(*pairs.values())
+        figures = [Figure(LABELS[name], fit(difference_picture(a, b, scale), MAX_SIDE)) for name, (a, b) in pairs.items()]
+        caption = f"Absolute difference of the 8-bit pictures from the non-glossy result, times {scale:g}."
+        parts.append(Row(figures, columns=4, title=f"Difference of {title}", caption=caption))
+    return parts
+
+
+def _method(shape: Shape, metrics: Metrics) -> Section:
+    rows: list[list[object]] = [[name, str(value)] for name, value in metrics["settings"].items()]
+    rows += [["frames", ", ".join(metrics["frames"])], ["encoding", metrics["encoding"]]]
+    rows += [["clipped samples", f"{metrics['clipped percent']:.2f} %"], ["defects", f"{metrics['defects']['percent']:.2f} %"]]
+    rows += [[f"time: {name}", f"{value:.2f} s"] for name, value in metrics["seconds"].items()]
+    lights = [
+        [name, *light, *power]
+        for name, light, power in zip(shape.capture.names, shape.capture.lights, shape.capture.irradiance, strict=True)
+    ]
+    columns = [Column("frame"), *(Column(c, ".4f") for c in "xyz"), *(Column(f"intensity {c}", ".3f") for c in "RGB")]
+    return Section("How it was measured", "", [Table("Settings", ["", ""], rows), Table("Lights", columns, lights)])
+
+
+def _span(height: NDArray[np.float32]) -> tuple[float, float]:
+    known = height[np.isfinite(height)]
+    low, high = float(known.min()), float(known.max())
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+def _shifted(true: NDArray[np.float32], height: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The true height moved to the measured one's mean over the pixels that both know."""
+    both = np.isfinite(true) & np.isfinite(height)
+    return true if not both.any() else true - true[both].mean() + height[both].mean()
+
+
+def _profile(height: NDArray[np.float32], mask: NDArray[np.bool_], factor: float) -> tuple[list[float], list[float]]:
+    row = int(np.median(np.nonzero(mask)[0]))
+    columns = np.flatnonzero(mask[row])
+    chosen = np.arange(columns[0], columns[-1] + 1)
+    return [float(c) + 1 for c in chosen], [float(v) for v in height[row, chosen] * factor]

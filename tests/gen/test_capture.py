@@ -1,0 +1,161 @@
+"""The Capture: what it promises of its arrays, and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gen.capture import Capture, Fault, Scale, Truth, check_lights, grey, require_spanning_lights
+from gen.errors import InputError
+
+K, H, W = 4, 5, 6
+LIGHTS = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [-1, 0, 2.0]])
+
+
+def capture(**changes: Any) -> Capture:
+    rng = np.random.default_rng(1)
+    given: dict[str, Any] = {
+        "images": rng.random((K, H, W, 3)),
+        "lights": LIGHTS,
+        "mask": np.ones((H, W), bool),
+        "truth": Truth(normals=np.zeros((H, W, 3), np.float32), matte=rng.random((K, H, W, 3)).astype(np.float32)),
+        "source": "here",
+    }
+    return Capture(**{**given, **changes})
+
+
+def test_defaults() -> None:
+    c = capture()
+    assert c.images.dtype == np.float32
+    assert (c.count, c.size, c.names) == (K, (H, W), ("001", "002", "003", "004"))
+    np.testing.assert_allclose(np.linalg.norm(c.lights, axis=1), 1)
+    np.testing.assert_array_equal(c.irradiance, np.ones((K, 3)))
+    assert c.valid.all()
+    assert c.scale.unit == "px"
+    assert c.truth.names() == ["normals", "matte"]
+
+
+def test_values_that_are_not_finite_become_missing() -> None:
+    images = np.ones((K, H, W, 3))
+    images[1, 2, 3, 0], images[2, 0, 0, 1] = np.nan, -np.inf
+    faults = np.zeros((K, H, W), np.uint8)
+    faults[1, 2, 3] = Fault.CLIPPED
+    c = capture(images=images, faults=faults)
+    assert c.flags[1, 2, 3] == Fault.MISSING | Fault.CLIPPED
+    assert c.flags[2, 0, 0] == Fault.MISSING
+    assert (~c.valid).sum() == 2
+    assert np.isfinite(c.images).all()
+    assert faults[2, 0, 0] == 0, "the caller's array is left as it was"
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"images": np.zeros((K, H, W))}, r"\(K, H, W, 3\)"),
+        ({"images": np.zeros((0, H, W, 3))}, r"\(K, H, W, 3\)"),
+        ({"mask": np.ones((H, W + 1), bool)}, "the mask is 7x5, the pictures are 6x5"),
+        ({"mask": np.zeros((H, W), bool)}, "the mask is empty"),
+        ({"lights": LIGHTS[:3]}, "3 light directions for 4 pictures"),
+        ({"lights": LIGHTS[:, :2]}, "three numbers"),
+        ({"lights": LIGHTS * [[1], [0], [1], [1]]}, "light direction 2 has no length"),
+        ({"lights": LIGHTS * [[1], [1], [np.nan], [1]]}, "light direction 3 is not finite"),
+        ({"intensities": np.ones(3)}, "intensities of shape"),
+        ({"intensities": np.zeros((K, 3))}, "positive"),
+        ({"intensities": np.full((K, 3), np.inf)}, "finite"),
+        ({"faults": np.zeros((K, H), np.uint8)}, "faults"),
+        ({"names": ("a", "b")}, "2 names for 4 pictures"),
+        ({"images": np.full((K, H, W, 3), np.nan)}, "not one finite value"),
+        ({"truth": Truth(normals=np.zeros((H, W + 1, 3), np.float32))}, "truth 'normals'"),
+        ({"truth": Truth(matte=np.zeros((K - 1, H, W, 3), np.float32))}, "truth 'matte'"),
+    ],
+)
+def test_contradictions_are_refused_in_one_line(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(InputError, match=why) as error:
+        capture(**changes)
+    assert str(error.value).startswith("here: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("shape", [(K,), (K, 1), (K, 3)])
+def test_reflectance_divides_by_the_lights(shape: tuple[int, ...]) -> None:
+    strength = 1 + np.arange(np.prod(shape)).reshape(shape)
+    c = capture(intensities=strength)
+    full = np.broadcast_to(strength.reshape(K, -1), (K, 3))
+    np.testing.assert_allclose(c.reflectance(), c.images / full[:, None, None, :], rtol=1e-6)
+    np.testing.assert_allclose(c.reflectance(np.ones_like(c.images))[2, 1, 1], 1 / full[2], rtol=1e-6)
+
+
+def test_the_matte_twin_of_a_white_surface_is_the_cosine(synthetic: Callable[..., Capture]) -> None:
+    """The definition of light intensity: matte = albedo * intensity * max(n.l, 0)."""
+    c = synthetic(layer="matte")
+    assert c.truth.normals is not None
+    cosine = np.maximum(np.einsum("hwc,kc->khw", c.truth.normals, c.lights), 0)
+    np.testing.assert_allclose(c.reflectance()[..., 0], 0.6 * cosine, atol=1e-6)
+
+
+def test_select_takes_everything_that_belongs_to_a_picture() -> None:
+    c = capture(
+        intensities=np.arange(1.0, 5), names=tuple("abcd"), faults=np.arange(K * H * W, dtype=np.uint8).reshape(K, H, W) % 3
+    )
+    part = c.select([2, 0])
+    assert part.names == ("c", "a")
+    np.testing.assert_array_equal(part.images, c.images[[2, 0]])
+    np.testing.assert_array_equal(part.lights, c.lights[[2, 0]])
+    np.testing.assert_array_equal(part.irradiance[:, 0], [3, 1])
+    np.testing.assert_array_equal(part.flags, c.flags[[2, 0]])
+    assert part.truth.matte is not None
+    assert c.truth.matte is not None
+    np.testing.assert_array_equal(part.truth.matte, c.truth.matte[[2, 0]])
+    assert part.truth.normals is c.truth.normals
+    with pytest.raises(InputError, match="there is no picture 5; it has pictures 1 to 4"):
+        c.select([0, 4])
+    with pytest.raises(InputError, match="no picture 0"):
+        c.select([-1])
+    with pytest.raises(InputError, match="twice"):
+        c.select([1, 1])
+    with pytest.raises(InputError):
+        c.select([])
+
+
+def test_with_images_keeps_the_faults_unless_told() -> None:
+    c = capture(faults=np.full((K, H, W), Fault.DARK, np.uint8))
+    assert c.truth.matte is not None
+    np.testing.assert_array_equal(c.with_images(c.truth.matte).flags, c.flags)
+    assert c.with_images(c.truth.matte, np.zeros((K, H, W), np.uint8)).valid.all()
+
+
+def test_coplanar_and_too_few_lights_are_refused() -> None:
+    require_spanning_lights(check_lights(LIGHTS, K, "x"), "x")
+    require_spanning_lights(check_lights([[0.02, 0, 1], [-0.01, 0.02, 1], [-0.01, -0.02, 1]], 3, "x"), "x")
+    t = np.radians([0, 20, 40, 60, 75])
+    plane = np.stack([np.sin(t) * 0.6, np.sin(t) * 0.8, np.cos(t)], 1)
+    for lights in (plane, plane + np.random.default_rng(0).normal(0, 1e-7, plane.shape), np.tile([[0, 0.6, 0.8]], (5, 1))):
+        with pytest.raises(InputError, match="bolt: the light directions lie in one plane"):
+            require_spanning_lights(lights, "bolt")
+    with pytest.raises(InputError, match="at least three lights, there are 2"):
+        require_spanning_lights(LIGHTS[:2], "bolt")
+
+
+def test_grey_is_the_luma() -> None:
+    np.testing.assert_allclose(grey(np.eye(3)[None]), [[0.2989, 0.5870, 0.1140]])
+    assert grey(np.ones((2, 4, 5, 3), np.float32)).dtype == np.float32
+    assert grey(np.ones((2, 4, 5, 3))).shape == (2, 4, 5)
+
+
+def test_scale() -> None:
+    camera = np.array([[2000, 0, 100], [0, 2000, 90], [0, 0, 1.0]])
+    assert Scale(mm_per_pixel=0.5).metres_per_pixel == pytest.approx(0.0005)
+    assert Scale(camera=camera, distance_mm=1000).metres_per_pixel == pytest.approx(0.0005)
+    assert [Scale().unit, Scale(camera=camera).unit, Scale(mm_per_pixel=1).unit] == ["px", "px", "m"]
+    for wrong in ({"mm_per_pixel": 0}, {"mm_per_pixel": np.nan}, {"distance_mm": -1}, {"camera": np.eye(4)}, {"camera": -camera}):
+        with pytest.raises(InputError):
+            Scale(**wrong)
+
+
+def test_a_capture_made_from_another_is_checked_too() -> None:
+    with pytest.raises(InputError, match="empty"):
+        replace(capture(), mask=np.zeros((H, W), bool))

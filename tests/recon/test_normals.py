@@ -1,0 +1,167 @@
+"""Photometric stereo against closed forms: exact on Lambertian samples, whatever the name of the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gen.capture import Capture, require_spanning_lights
+from gen.errors import InputError
+from recon.conditioning import MAX_CONDITION, condition_numbers, leave_out
+from recon.metrics import angular_error
+from recon.registry import NORMALS
+
+Synthetic = Callable[..., Capture]
+
+
+def lit_pixels(capture: Capture) -> NDArray[np.bool_]:
+    assert capture.truth.normals is not None
+    return capture.mask & (capture.truth.normals @ capture.lights.T > 0).all(-1)
+
+
+def solve(name: str, capture: Capture, weights: NDArray[np.float32] | None = None):  # type: ignore[no-untyped-def]
+    w = np.ones(capture.images.shape[:3], np.float32) if weights is None else weights
+    return NORMALS.load(name)(capture.reflectance(), capture.lights, capture.mask, w)
+
+
+@pytest.fixture(params=[*NORMALS])
+def solver(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def matte_three(synthetic: Synthetic) -> Capture:
+    """Three well-spread lights that every solver can take."""
+    lights = np.array([[0.5, 0, 0.87], [-0.25, 0.43, 0.87], [-0.25, -0.43, 0.87]])
+    return synthetic("sphere", 48, lights / np.linalg.norm(lights, axis=1, keepdims=True), layer="matte")
+
+
+def test_exact_on_matte_samples(solver: str, synthetic: Synthetic) -> None:
+    capture = matte_three(synthetic)
+    result = solve(solver, capture)
+    lit = lit_pixels(capture)
+    assert np.nanmax(angular_error(result.normal, capture.truth.normals)[lit]) < 0.01
+    assert np.abs(result.albedo - capture.truth.albedo)[lit].max() < 1e-4
+    assert (result.normal[~capture.mask] == 0).all()
+    assert result.measurable[lit].all()
+    assert not result.measurable[~capture.mask].any()
+
+
+def test_rotating_the_lights_rotates_the_normals(solver: str, synthetic: Synthetic) -> None:
+    capture = matte_three(synthetic)
+    t = 0.3
+    R = np.array([[np.cos(t), -np.sin(t), 0], [np.sin(t), np.cos(t), 0], [0, 0, 1]])
+    w = np.ones(capture.images.shape[:3], np.float32)
+    function = NORMALS.load(solver)
+    plain = function(capture.reflectance(), capture.lights, capture.mask, w).normal
+    turned = function(capture.reflectance(), capture.lights @ R.T, capture.mask, w).normal
+    assert np.abs(turned - plain @ R.T.astype(np.float32))[capture.mask].max() < 1e-4
+
+
+def test_order_and_exposure_leave_normals_alone(solver: str, synthetic: Synthetic) -> None:
+    capture = matte_three(synthetic)
+    normal = solve(solver, capture).normal
+    assert np.abs(solve(solver, capture.select([2, 0, 1])).normal - normal).max() < 1e-5
+    brighter = capture.with_images(capture.images * 7)
+    assert np.abs(solve(solver, brighter).normal - normal).max() < 1e-5
+
+
+def test_light_intensity_is_applied(solver: str, synthetic: Synthetic) -> None:
+    capture = matte_three(synthetic)
+    power = np.array([[1, 2, 3], [0.5, 0.5, 0.5], [4, 1, 2.0]])
+    uneven = Capture(
+        images=capture.images * power[:, None, None].astype(np.float32),
+        lights=capture.lights,
+        mask=capture.mask,
+        intensities=power,
+    )
+    assert np.abs(solve(solver, uneven).normal - solve(solver, capture).normal).max() < 1e-5
+
+
+def test_least_squares_is_numpys(synthetic: Synthetic) -> None:
+    """Even and uneven weights, both against numpy's own solver pixel by pixel."""
+    capture = synthetic("sphere", 24)
+    rng = np.random.default_rng(0)
+    w = rng.random(capture.images.shape[:3]).astype(np.float32)
+    w[:, :5] = 1
+    result = solve("least-squares", capture, w)
+    y = capture.reflectance() @ np.array([0.2989, 0.5870, 0.1140])
+    for r, c in zip(*np.nonzero(capture.mask), strict=True):
+        root = np.sqrt(w[:, r, c].astype(float))
+        b = np.linalg.lstsq(capture.lights * root[:, None], y[:, r, c] * root, rcond=None)[0]
+        assert np.abs(result.normal[r, c] - b / np.linalg.norm(b)).max() < 1e-4
+
+
+def test_uncertainty_is_that_of_repeated_draws() -> None:
+    """The mean of the stated variance is the variance seen over many noisy pixels of one normal."""
+    rng = np.random.default_rng(1)
+    lights = rng.normal(size=(12, 3))
+    lights[:, 2] = np.abs(lights[:, 2]) + 1
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    n = np.array([0.2, -0.1, 0.97])
+    n /= np.linalg.norm(n)
+    r = (lights @ n)[:, None, None, None] * np.ones((1, 60, 60, 3)) + 0.01 * rng.normal(size=(12, 60, 60, 1))
+    ones = np.ones((12, 60, 60), np.float32)
+    result = NORMALS.load("least-squares")(r.astype(np.float32), lights, np.ones((60, 60), bool), ones)
+    error = angular_error(result.normal, np.broadcast_to(n, (60, 60, 3)).astype(np.float32))
+    assert np.sqrt((result.uncertainty**2).mean()) == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
+
+
+def test_zero_weight_leaves_a_sample_out(synthetic: Synthetic) -> None:
+    capture = synthetic("sphere", 32, layer="matte")
+    spoiled = capture.images.copy()
+    spoiled[1] += 3
+    w = np.ones(capture.images.shape[:3], np.float32)
+    w[1] = 0
+    result = solve("least-squares", capture.with_images(spoiled), w)
+    lit = lit_pixels(capture)
+    assert np.nanmax(angular_error(result.normal, capture.truth.normals)[lit]) < 0.01
+
+
+def test_too_few_lights_in_a_pixel_are_not_measured(solver: str, synthetic: Synthetic) -> None:
+    capture = matte_three(synthetic)
+    w = np.ones(capture.images.shape[:3], np.float32)
+    w[0, 20:24] = 0
+    result = solve(solver, capture, w)
+    assert not result.measurable[20:24].any()
+    assert (result.normal[20:24] == 0).all()
+    assert result.measurable[10][capture.mask[10]].all()
+
+
+def test_condition_numbers_are_numpys() -> None:
+    rng = np.random.default_rng(2)
+    lights = rng.normal(size=(6, 3))
+    w = rng.random((6, 40))
+    expected = [np.linalg.cond(lights * np.sqrt(w[:, i])[:, None]) for i in range(40)]
+    assert np.allclose(condition_numbers(lights, w), expected, rtol=1e-6)
+    w[3:] = 0
+    w[2, 0] = 0
+    assert np.isinf(condition_numbers(lights, w)[0])
+
+
+def test_leave_out_stops_where_the_lights_no_longer_suffice() -> None:
+    t = np.radians(35)
+    lights = np.array(
+        [[0, 0, 1], [np.sin(t), 0, np.cos(t)], [-np.sin(t), 0, np.cos(t)], [0, np.sin(t), np.cos(t)], [0, -np.sin(t), np.cos(t)]]
+    )
+    weights = np.ones((5, 3), np.float32)
+    unwanted = np.zeros((5, 3), bool)
+    unwanted[3:, 0] = True  # what remains lies in one plane
+    unwanted[[1, 3], 1] = True  # what remains does not
+    reduced = leave_out(weights, unwanted, lights)
+    assert reduced[:, 0].tolist() == [1, 1, 1, 1, 1]
+    assert reduced[:, 1].tolist() == [1, 0, 1, 0, 1]
+    assert reduced[:, 2].tolist() == [1, 1, 1, 1, 1]
+    assert condition_numbers(lights, reduced).max() < MAX_CONDITION
+
+
+def test_lights_that_cannot_serve_are_refused(synthetic: Synthetic) -> None:
+    flat = np.array([[0.5, 0, 0.8], [-0.5, 0, 0.8], [0, 0, 1.0]])
+    with pytest.raises(InputError, match="one plane"):
+        require_spanning_lights(flat, "here")
+    with pytest.raises(InputError, match="at least three"):
+        require_spanning_lights(flat[:2], "here")
+    with pytest.raises(InputError, match="exactly three"):
+        solve("three-light", synthetic("sphere", 16))

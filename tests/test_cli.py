@@ -1,0 +1,198 @@
+"""The command line as a person meets it: help, one-line refusals with exit code 2, nothing half-written, one JSON object."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gen.capture import Capture
+from gen.formats.render_folder import write_render
+
+ROOT = Path(__file__).resolve().parent.parent
+Synthetic = Callable[..., Capture]
+COMMANDS = [
+    [],
+    ["demo"],
+    ["doctor"],
+    ["gen"],
+    ["gen", "render"],
+    ["gen", "presets"],
+    ["gen", "schema"],
+    ["recon"],
+    ["recon", "run"],
+    ["recon", "methods"],
+]
+
+
+def degloss(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "degloss", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=120, **options)  # type: ignore[call-overload, no-any-return]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, synthetic: Synthetic) -> Path:
+    """A small capture of ours on disk."""
+    path = tmp_path_factory.mktemp("captures") / "sphere"
+    write_render(synthetic("sphere", 32), path)
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help(command: list[str]) -> None:
+    run = degloss(*command, "--help")
+    assert run.returncode == 0
+    assert run.stdout.startswith("Usage: degloss")
+    assert run.stderr == ""
+
+
+def test_help_is_quick() -> None:
+    """The best of several runs, less the start of the interpreter itself: a guard against heavy imports, not a stopwatch."""
+
+    def best(command: list[str]) -> float:
+        times = []
+        for _ in range(5):
+            start = time.perf_counter()
+            subprocess.run(command, capture_output=True, check=True, cwd=ROOT)
+            times.append(time.perf_counter() - start)
+        return min(times)
+
+    assert best([sys.executable, "-m", "degloss", "recon", "run", "--help"]) - best([sys.executable, "-c", "pass"]) < 1.0
+
+
+def test_run_writes_and_prints(folder: Path, tmp_path: Path) -> None:
+    run = degloss("recon", "run", folder, "-o", tmp_path / "out")
+    assert run.returncode == 0, run.stderr
+    assert "gloss removed and repaired" in run.stdout
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert "read as linear" in run.stdout
+
+
+def test_json_is_one_object(folder: Path, tmp_path: Path) -> None:
+    run = degloss(
+        "recon", "run", folder, "-o", tmp_path / "out", "--gloss", "none", "--inpaint", "none", "--lights", "1,2,4", "--json"
+    )
+    metrics = json.loads(run.stdout)
+    assert metrics["lights"] == 3
+    assert metrics["frames"] == ["001", "002", "004"]
+    assert metrics == json.loads((tmp_path / "out" / "metrics.json").read_text())
+
+
+def test_three_lights_by_the_papers_inverse(folder: Path, tmp_path: Path) -> None:
+    run = degloss(
+        "recon", "run", folder, "-o", tmp_path / "out", "--normals", "three-light", "--lights", "1,2,4", "--gloss", "none"
+    )
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--gloss", "polish"], "--gloss polish: unknown gloss remover"),
+        (["--inpaint", "tape"], "--inpaint tape"),
+        (["--normals", "three-light"], "exactly three"),
+        (["--threshold", "much"], "--threshold much"),
+        (["--threshold", "-2"], "--threshold -2"),
+        (["--lights", "1,2,9"], "picture 9"),
+        (["--lights", "1,1,2"], "twice"),
+        (["--lights", "0,1,2"], "numbered from 1"),
+        (["--lights", "a"], "numbers from 1"),
+        (["--lights", "1,2"], "at least three"),
+        (["--lights", "1,2,3"], "one plane"),
+        (["--encoding", "gamma"], "encoding"),
+        (["--no-such-option"], "no-such-option"),
+    ],
+)
+def test_refusals(folder: Path, tmp_path: Path, options: list[str], says: str) -> None:
+    run = degloss("recon", "run", folder, "-o", tmp_path / "out", *options)
+    refused(run, says)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["recon", "run", "/no/such/capture", "-o", "OUT"],
+        ["gen", "render", "no-such-preset", "-o", "OUT"],
+        ["recon", "walk"],
+        ["gen", "render"],
+    ],
+    ids=" ".join,
+)
+def test_what_is_not_there(arguments: list[str], tmp_path: Path) -> None:
+    refused(degloss(*[str(tmp_path / "out") if a == "OUT" else a for a in arguments]), "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_cannot_be_written(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file", tmp_path / "file" / "below", "/proc/degloss/out", "/dev/null"):
+        refused(degloss("recon", "run", folder, "-o", place), str(place))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("mine")
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "full"), "not an earlier result")
+    assert (tmp_path / "full" / "thesis.txt").read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "full"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_folder(folder: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "cannot be written")
+
+
+def test_methods(tmp_path: Path) -> None:
+    table = json.loads(degloss("recon", "methods", "--json").stdout)
+    assert set(table) == {"--gloss", "--inpaint", "--normals", "--height"}
+    assert "least-squares" in degloss("recon", "methods").stdout
+
+
+def test_doctor_names_a_remedy_for_what_is_missing() -> None:
+    run = degloss("doctor", "--json", env={**os.environ, "DEGLOSS_DATA": "/no/such/folder"})
+    found = json.loads(run.stdout)
+    assert {"bpy", "system libraries", "GPU", "torch", "report", "chromium", "reference data"} <= set(found)
+    assert found["reference data"]["state"] == "missing"
+    assert "DEGLOSS_DATA" in found["reference data"]["remedy"]
+    assert all(part["remedy"] for part in found.values() if part["state"] == "missing")
+
+
+def test_missing_part_is_one_line_with_the_remedy(tmp_path: Path) -> None:
+    """A Python that cannot find bpy: the same line as the doctor's, no ImportError."""
+    code = (
+        "import sys, importlib.util as u; real = u.find_spec;"
+        "u.find_spec = lambda name, *a: None if name == 'bpy' else real(name, *a);"
+        f"sys.argv = ['degloss', 'demo', '-o', {str(tmp_path / 'out')!r}]; import degloss; degloss.main()"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=60)
+    refused(run, "bpy is missing")
+    assert "pip install" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hostile_frame_name_is_text_in_the_report(synthetic: Synthetic, tmp_path: Path) -> None:
+    base = synthetic("sphere", 24)
+    names = ("<script>alert(1)</script>", *base.names[1:])
+    hostile = Capture(images=base.images, lights=base.lights, mask=base.mask, names=names, source="<img src=x>")
+    from recon.pipeline import measure
+
+    measure(hostile).write(tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<script>alert" not in page
+    assert "<img src=x>" not in page
+    assert np.array_equal(hostile.mask, base.mask)
+
+
+def refused(run: subprocess.CompletedProcess[str], says: str) -> None:
+    assert run.returncode == 2, (run.stdout, run.stderr)
+    lines = run.stderr.strip().splitlines()
+    assert len(lines) == 1, run.stderr
+    assert lines[0].startswith("degloss: ")
+    assert says in lines[0]
+    assert run.stdout == ""
