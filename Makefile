@@ -1,6 +1,7 @@
 # make demo    .venv, pinned installs, then the main job: render, remove the gloss, measure, report
 # make test    the whole test suite on the same .venv
 # make check   formatting, lint and types
+# make bench   every figure that the README quotes
 # make soak    long campaigns (none are needed to use the software)
 
 PYTHON ?= python3.11
@@ -8,13 +9,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test check soak clean
+.PHONY: demo test check bench soak clean
 
 demo: $(STAMP)
 	$(BIN)/degloss demo -o out/demo
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -q -m "not soak"
+
+bench: $(STAMP)
+	$(BIN)/python -m recon.bench
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -q -m soak

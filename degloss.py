@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +15,20 @@ app = App(
     help="A few pictures of a shiny thing under known lights become its shape.",
     help_format="plaintext",
     version_flags=["--version"],
+    exit_on_error=False,
+    print_error=False,
+    suppress_keyboard_interrupt=False,
 )
 app.command("gen.cli:app", name="gen", help="The factory: render captures with their truth.")
 app.command("recon.cli:app", name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.")
 
 
 @app.command
-def demo(*, output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("out/demo"), json: bool = False) -> None:
+def demo(
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("out/demo"),
+    json: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+) -> None:
     """Render the paper's experiment with Blender, measure it, and write a report.
 
     A glossy cylinder under five lights and its gloss-free twin; gloss removed, defects repaired, normals, height, mesh, and the
@@ -38,7 +47,7 @@ def demo(*, output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("
 
 
 @app.command
-def doctor(*, json: bool = False) -> None:
+def doctor(*, json: Annotated[bool, Parameter(negative=(), show_default=False)] = False) -> None:
     """Say what is there and what is missing, each with its remedy.
 
     Parameters
@@ -52,24 +61,51 @@ def doctor(*, json: bool = False) -> None:
 
 
 def main() -> None:
-    """The command's entry: bad input gives one line on stderr and exit code 2, Ctrl-C a sentence and 130."""
+    """The command's entry: bad input ends in one line and exit code 2, a signal in a sentence, with nothing half-written."""
+    interrupted = False
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, stop)
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr] # a name may not fit the terminal's encoding
+    if not os.environ.get("COLUMNS", "80").isdecimal() or int(os.environ.get("COLUMNS", "80")) < 20:
+        del os.environ["COLUMNS"]
+    try:
+        app()
+        sys.stdout.flush()
+    except BaseException as error:
+        if interrupted:  # whatever it came as: a module that is interrupted while it is imported fails in its own way
+            print("degloss: stopped; nothing was left half-written, run the same command again", file=sys.stderr)
+            sys.exit(130)
+        sys.exit(_verdict(error))
+
+
+def _verdict(error: BaseException) -> int:
+    """The exit code of an error that ends the command, after its line on stderr; errors of our own making are raised again."""
+    from cyclopts import CycloptsError
+
     from gen.errors import InputError
 
-    try:
-        app(exit_on_error=False, print_error=False)
-    except InputError as error:
-        sys.exit(_refuse(str(error)))
-    except KeyboardInterrupt:
-        print("degloss: stopped; nothing was left half-written, run the same command again", file=sys.stderr)
-        sys.exit(130)
-    except BrokenPipeError:
-        sys.exit(1)
-    except Exception as error:
-        from cyclopts import CycloptsError
-
-        if not isinstance(error, CycloptsError):
-            raise
-        sys.exit(_refuse(str(error)))
+    match error:
+        case SystemExit():
+            raise error
+        case BrokenPipeError():
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        case InputError() | OSError() | UnicodeError():
+            return _refuse(str(error))
+        case ImportError():
+            return _refuse(
+                f"the package {error.name} is missing or broken ({error}): install degloss again, with its dependencies"
+            )
+        case CycloptsError():
+            return _refuse(f"{error} Try --help.")
+    raise error
 
 
 def _refuse(message: str) -> int:

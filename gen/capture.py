@@ -20,7 +20,7 @@ Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 LUMA = np.array([0.2989, 0.5870, 0.1140])
-"""Weights of R, G, B in the grey value that photometric stereo solves on (ITU-R BT.601, as DiLiGenT's baselines use them)."""
+"""Weights of linear R, G, B in the grey value that the solvers work on: those of DiLiGenT's published baselines."""
 
 
 class Fault(IntFlag):
@@ -109,14 +109,15 @@ class Capture:
     encoding: how the file's numbers became linear ("linear", "srgb"), as it was said or defaulted.
     source: where it came from, for reports. provenance: whatever else the source says of itself.
 
-    Raises InputError where shapes disagree, lights have no length or do not span space, or the mask is empty.
+    Raises InputError where shapes disagree, lights have no length, or the mask is empty. Whether the lights suffice for photometric stereo
+    is for `recon.conditioning.require_spanning_lights` to say: a capture of one light is a capture too.
     """
 
     images: Floats
     lights: NDArray[np.float64]
     mask: Bools
-    intensities: NDArray[np.float64] | None = None
-    faults: NDArray[np.uint8] | None = None
+    intensities: NDArray[np.float64] = None  # type: ignore[assignment] # filled in: ones
+    faults: NDArray[np.uint8] = None  # type: ignore[assignment] # filled in: no fault
     names: tuple[str, ...] = ()
     scale: Scale = field(default_factory=Scale)
     truth: Truth = field(default_factory=Truth)
@@ -165,19 +166,7 @@ class Capture:
     @property
     def valid(self) -> Bools:
         """(K, H, W) bool: false where the sample is clipped, dark or missing."""
-        return self.flags == 0
-
-    @property
-    def flags(self) -> NDArray[np.uint8]:
-        """`faults`, never None."""
-        assert self.faults is not None
-        return self.faults
-
-    @property
-    def irradiance(self) -> NDArray[np.float64]:
-        """`intensities`, never None: (K, 3)."""
-        assert self.intensities is not None
-        return self.intensities
+        return self.faults == 0
 
     @property
     def count(self) -> int:
@@ -192,7 +181,7 @@ class Capture:
     def reflectance(self, images: Floats | None = None) -> Floats:
         """`images` (K, H, W, 3), by default the capture's own, over each light's intensity: albedo * max(n.l, 0) where matte."""
         chosen = self.images if images is None else images
-        return (chosen / self.irradiance[:, None, None, :]).astype(np.float32)
+        return chosen / self.intensities[:, None, None, :].astype(np.float32)
 
     def with_images(self, images: Floats, faults: NDArray[np.uint8] | None = None) -> Capture:
         """The same view and lights with other pictures (K, H, W, 3), such as the matte truth; faults as they are unless given."""
@@ -217,8 +206,8 @@ class Capture:
             self,
             images=self.images[chosen],
             lights=self.lights[chosen],
-            intensities=self.irradiance[chosen],
-            faults=self.flags[chosen],
+            intensities=self.intensities[chosen],
+            faults=self.faults[chosen],
             names=tuple(self.names[k] for k in chosen),
             truth=truth,
         )
@@ -237,7 +226,7 @@ def read_capture(path: str | Path, encoding: str | None = None) -> Capture:
 
 
 def check_lights(lights: object, count: int, where: str) -> NDArray[np.float64]:
-    """Unit light directions (K, 3) from anything like them; InputError where they cannot serve photometric stereo."""
+    """Unit light directions (K, 3) from anything like them; InputError unless they are finite, have a length, and are one a picture."""
     L = np.asarray(lights, dtype=np.float64)
     if L.ndim != 2 or L.shape[1] != 3:
         raise InputError(f"{where}: light directions must be rows of three numbers, got an array of shape {L.shape}")
@@ -254,17 +243,6 @@ def check_lights(lights: object, count: int, where: str) -> NDArray[np.float64]:
     length[np.abs(length - 1) < 1e-12] = 1.0
     unit: NDArray[np.float64] = L / length[:, None]
     return unit
-
-
-def require_spanning_lights(lights: NDArray[np.float64], where: str, limit: float = 1e4) -> None:
-    """InputError unless the directions (K, 3) are at least three and not coplanar (condition number at most `limit`)."""
-    if len(lights) < 3:
-        raise InputError(f"{where}: photometric stereo needs at least three lights, there are {len(lights)}")
-    s = np.linalg.svd(lights, compute_uv=False)
-    if s[2] * limit < s[0]:
-        raise InputError(
-            f"{where}: the light directions lie in one plane; move a light out of it, or choose others with --lights"
-        )
 
 
 def grey(images: NDArray[Any]) -> NDArray[Any]:

@@ -48,6 +48,7 @@ def render(
     import sys
     import time
 
+    from gen.capture import Fault
     from gen.files import dumps
     from gen.render import render_capture
     from gen.spec import read_spec, with_seed
@@ -68,7 +69,7 @@ def render(
         "size": [W, H],
         "object_share": float(capture.mask.mean()),
         "exposure": capture.provenance["exposure"],
-        "clipped_samples": int((capture.flags != 0).sum()),
+        "clipped_samples": int(((capture.faults & Fault.CLIPPED) > 0).sum()),
         "spec_sha256": capture.provenance["spec_sha256"],
         "blender": capture.provenance["blender"],
         "seconds": round(took, 3),

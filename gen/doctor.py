@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gen.files import dumps
-from gen.parts import PARTS
+from gen.parts import APT_LINE, PARTS
 
 
 def findings() -> dict[str, dict[str, object]]:
@@ -15,7 +15,7 @@ def findings() -> dict[str, dict[str, object]]:
             "state": finding.state,
             "detail": finding.detail,
             "purpose": part.purpose,
-            "remedy": None if finding.state == "ok" else part.remedy,
+            "remedy": None if finding.state == "ok" else APT_LINE if "shared object" in finding.detail else part.remedy,
             "needed": part.needed,
         }
     return found
@@ -27,9 +27,9 @@ def examine(json: bool) -> None:
     if json:
         print(dumps(found))
         return
-    marks = {"ok": "ok", "missing": "MISSING", "none": "-"}
     for name, part in found.items():
-        print(f"{marks[str(part['state'])]:<8}{name:<18}{part['detail']}")
+        mark = {"ok": "ok", "none": "-"}.get(str(part["state"]), "MISSING" if part["needed"] else "absent")
+        print(f"{mark:<8}{name:<18}{part['detail']}")
         if part["state"] == "missing":
             print(f"{'':<26}{part['purpose']}")
             print(f"{'':<26}remedy: {part['remedy']}")

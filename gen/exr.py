@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,11 @@ def write_exr(
         # A non-contiguous array is written wrong without any error: hence ascontiguousarray.
         ready[name] = np.ascontiguousarray(array, dtype=np.float16 if name in half else np.float32)
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **dict(header or {})}
-    with writing(path) as temporary, OpenEXR.File(attributes, ready) as file:
-        file.write(str(temporary))
+    memory = io.BytesIO()  # the library knows neither every file name that Python does, nor a full disk
+    with OpenEXR.File(attributes, ready) as file:
+        file.write(memory)
+    with writing(path) as temporary:
+        temporary.write_bytes(memory.getbuffer())
 
 
 def read_exr(path: Path) -> dict[str, NDArray[Any]]:
@@ -50,18 +54,18 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
     import OpenEXR
 
     must_exist(path, "an EXR picture")
-    with path.open("rb") as stream:
-        if stream.read(4) != b"\x76\x2f\x31\x01":
-            raise InputError(f"{path}: is not an OpenEXR file")
+    data = path.read_bytes()
+    if data[:4] != b"\x76\x2f\x31\x01":
+        raise InputError(f"{path}: is not an OpenEXR file")
     OpenEXR.setMaxImageSize(65535, 65535)
     channels: dict[str, NDArray[Any]] = {}
     try:
-        with library_silenced(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        with library_silenced(), OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True) as file:
             for part in file.parts:
                 (x0, y0), (x1, y1) = part.header["dataWindow"]
                 if (int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) > MAX_PIXELS:
                     raise InputError(f"{path}: is larger than {MAX_PIXELS // 1_000_000} megapixels")
-        with library_silenced(), OpenEXR.File(str(path), separate_channels=True) as file:
+        with library_silenced(), OpenEXR.File(io.BytesIO(data), separate_channels=True) as file:
             for part in file.parts:
                 for name, channel in part.channels.items():
                     pixels = np.asarray(channel.pixels)

@@ -93,6 +93,7 @@ class Farm:
         done: queue.SimpleQueue[Outcome | Exception] = queue.SimpleQueue()
         for job in jobs:
             todo.put(job)
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
         for _ in range(min(self.workers, len(jobs))):
             thread = threading.Thread(target=self._serve, args=(todo, done), daemon=True)
             self._threads.append(thread)

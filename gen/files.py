@@ -6,6 +6,7 @@ import ctypes
 import io
 import json
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -41,43 +42,98 @@ def writing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def writing_folder(path: Path) -> Iterator[Path]:
+def writing_folder(path: Path, kind: str) -> Iterator[Path]:
     """A temporary folder beside `path` that takes its place when the block ends well; an earlier result there is replaced whole.
 
-    Only an empty folder, or one that an earlier run of this program marked as its own, is replaced; anything else is refused.
-    Raises InputError where the place cannot be written or holds something else.
+    kind: what the folder holds ("capture", "measurement", "demo"). Only an empty folder, or one that this program marked as a result of
+    the same kind, is replaced; anything else is refused. Raises InputError where the place cannot be written or holds something else.
     """
     path = Path(os.path.abspath(path))
-    if path.exists() and not replaceable(path):
-        raise InputError(f"{path}: is there already and is not an earlier result; choose another place with -o")
-    temporary = None
+    if (path.exists() or path.is_symlink()) and not replaceable(path, kind):
+        raise InputError(
+            f"{path}: is there already and is not an earlier {kind} of ours, or holds other files too; choose another place with -o"
+        )
+    temporary = old = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
-        temporary.chmod(0o777 & ~_umask())
+        _sweep(path)
+        temporary = _beside(path, ".tmp")
         yield temporary
-        (temporary / MARK).write_text("degloss\n")
-        old = None
+        names = sorted(p.relative_to(temporary).as_posix() for p in temporary.rglob("*") if not p.is_dir())
+        (temporary / MARK).write_text(json.dumps({"degloss": kind, "files": names}) + "\n", encoding="utf-8")
         if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+            old = _beside(path, ".old")
             os.replace(path, old / path.name)
         os.replace(temporary, path)
-        if old is not None:
-            shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place with -o") from error
+        reason = error.strerror or error
+        if error.filename is not None and not _belongs(str(error.filename), path):
+            raise InputError(f"{error.filename}: cannot be read or written ({reason})") from error
+        raise InputError(f"{path}: cannot be written ({reason}); choose another place with -o") from error
     finally:
-        if temporary is not None and temporary.exists():
-            shutil.rmtree(temporary, ignore_errors=True)
+        if old is not None and (old / path.name).exists() and not path.exists():
+            os.replace(old / path.name, path)  # the new one did not come: the earlier result stays
+        for left in (temporary, old):
+            if left is not None and left.exists():
+                shutil.rmtree(left, ignore_errors=True)
 
 
 MARK = ".degloss"
-"""The file that marks a folder as written by this program, so that a later run may replace it."""
+"""The file that marks a folder as a result of ours: JSON with its kind and its files, so that a later run may replace it."""
 
 
-def replaceable(path: Path) -> bool:
-    """Whether `path` is an empty folder or an earlier result of this program."""
-    return path.is_dir() and not path.is_symlink() and ((path / MARK).is_file() or not any(path.iterdir()))
+def replaceable(path: Path, kind: str) -> bool:
+    """Whether `path` is an empty folder, or an earlier result of this program of that kind that holds no file but its own."""
+    if not path.is_dir() or path.is_symlink():
+        return False
+    found = {p.relative_to(path).as_posix() for p in path.rglob("*") if not p.is_dir()}
+    if not found and not any(path.iterdir()):
+        return True
+    try:
+        mark = json.loads((path / MARK).read_text(encoding="utf-8"))
+        return bool(mark["degloss"] == kind and found <= {MARK, *mark["files"]})
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _beside(path: Path, ending: str) -> Path:
+    """A new hidden folder beside `path` that names the process it belongs to."""
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.{os.getpid()}.", suffix=ending, dir=path.parent))
+    folder.chmod(0o777 & ~_umask())
+    return folder
+
+
+def _sweep(path: Path) -> None:
+    """Remove what a process that was killed left beside `path`."""
+    pattern = re.compile(re.escape(f".{path.name}.") + r"(\d+)\.\w+\.tmp")
+    for left in path.parent.iterdir():
+        match = pattern.fullmatch(left.name)
+        if match and left.is_dir() and not left.is_symlink() and not _alive(int(match[1])):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _belongs(name: str, path: Path) -> bool:
+    """Whether a file that failed is the output `path`, in it, above it, or its temporary form."""
+    place = Path(os.path.abspath(name))
+    return place == path or place in path.parents or any(p.name.startswith(f".{path.name}.") for p in (place, *place.parents))
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def keep_apart(source: Path, output: Path) -> None:
+    """InputError where an output folder is, or holds, what is read: nothing may overwrite its own input."""
+    place, read = output.resolve(), source.resolve()
+    folder = read if read.is_dir() else read.parent
+    if place == folder or place in folder.parents:
+        raise InputError(f"{output}: is or holds the capture {source}; choose another place with -o")
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -86,7 +142,11 @@ def inside(folder: Path, name: str) -> Path:
     if not name or "\0" in name or parts.is_absolute() or PureWindowsPath(name).drive or ".." in parts.parts:
         raise InputError(f"{folder}: the file name {name!r} leads out of the folder")
     path = folder / parts
-    if not path.resolve().is_relative_to(folder.resolve()):
+    try:
+        inside = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"{folder}: the file name {name!r} cannot be used here ({error})") from error
+    if not inside:
         raise InputError(f"{folder}: the file name {name!r} leads out of the folder")
     return path
 
@@ -233,7 +293,7 @@ def read_json(path: Path, what: str) -> Any:
         raise InputError(f"{path}: is too large ({what})")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not valid JSON ({what}): {error}") from error
 
 

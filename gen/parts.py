@@ -24,7 +24,7 @@ APT_LINE = f"apt-get install -y {SYSTEM_LIBRARIES}"
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found. state: "ok", "missing" or "none" (absent and not needed). detail: version, path or reason."""
+    """What a check found. state: "ok", "missing", or "none" (does not apply here). detail: version, path or reason."""
 
     state: str
     detail: str
@@ -147,7 +147,7 @@ MODULES: dict[str, tuple[str, ...]] = {
 PARTS: dict[str, PartOf] = {
     part.name: part
     for part in (
-        PartOf("bpy", "rendering: degloss gen render, degloss demo", "pip install 'degloss[render]' (Python 3.11)", _bpy),
+        PartOf("bpy", "rendering: degloss gen render, degloss demo", "pip install bpy==4.5.15 (Python 3.11)", _bpy),
         PartOf("system libraries", "Blender does not load without them", APT_LINE, _libraries),
         PartOf(
             "blender",
@@ -167,13 +167,13 @@ PARTS: dict[str, PartOf] = {
         PartOf(
             "report",
             "report.html",
-            "pip install 'degloss[report]'",
+            "pip install jinja2",
             _modules(
                 "jinja2",
             ),
         ),
         PartOf("chromium", "the report's tests in a browser", "apt-get install -y chromium", _chromium, False),
-        PartOf("playwright", "the report's tests in a browser", "pip install 'degloss[dev]'", _modules("playwright"), False),
+        PartOf("playwright", "the report's tests in a browser", "pip install playwright", _modules("playwright"), False),
         PartOf(
             "reference data",
             "the tests on real photographs",

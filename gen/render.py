@@ -29,7 +29,7 @@ from gen.spec_parts import AutoExposure, Orthographic
 SAMPLES_PER_JOB = 1 << 18
 PER_VIEW = ("coverage", "normal", "depth", "albedo", "gloss")
 PER_LIGHT = ("combined", "diffuse", "specular", "matte")
-SUM_TOLERANCE = 2e-6
+SUM_TOLERANCE = 1e-6
 """Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum."""
 
 Progress = Callable[[int, int], None]
@@ -62,7 +62,7 @@ def render_capture(
     workers, blender: see `gen.farm.Farm`; farm: one that is already open, which is used instead and left open.
     Raises MissingPart where Blender cannot be started, InputError where the spec shows nothing, RenderFailed where Blender fails.
     """
-    with writing_folder(folder) as temporary:
+    with writing_folder(folder, "capture") as temporary:
         rendered = render(spec, workers, blender, progress, farm)
         write_files(rendered.capture, temporary, rendered.coverage)
         (temporary / "spec.yaml").write_text(spec.yaml(), encoding="utf-8")
@@ -138,9 +138,9 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
     exposure = exposure_of(spec, diffuse + specular, mask)
     diffuse, specular, matte = (layer * np.float32(exposure) for layer in (diffuse, specular, matte))
     images = diffuse + specular
-    faults = None
+    faults = np.where((images <= 0).all(axis=3), int(Fault.DARK), 0).astype(np.uint8)
     if spec.clip:
-        faults = np.where((images >= 1).any(axis=3), int(Fault.CLIPPED), 0).astype(np.uint8)
+        faults |= np.where((images >= 1).any(axis=3), int(Fault.CLIPPED), 0).astype(np.uint8)
         images = np.minimum(images, np.float32(1))
     W, H = spec.resolution
     middle = spec.camera.distance_mm - spec.pose.translation_mm[2]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ from gen.spec_parts import (
     YesNo,
 )
 from gen.strict_yaml import first_complaint, read_yaml
+
+MAX_SAMPLES = 1 << 25
+"""The most samples of a picture, supersampling included: what the studio renders at a time."""
 
 
 class Spec(Part):
@@ -69,6 +73,10 @@ class Spec(Part):
             raise _At(
                 "supersampling",
                 f"{self.supersampling} x {max(self.resolution)} pixels is more than 16384; ask for less of either",
+            )
+        if math.prod(self.resolution) * self.supersampling**2 > MAX_SAMPLES:
+            raise _At(
+                "resolution", f"with supersampling is more than {MAX_SAMPLES / 1e6:.0f} million samples; ask for less of either"
             )
         _check_shape(self)
         self.light_directions()  # the pattern may not fit

@@ -105,7 +105,7 @@ class Substrate(Part):
     specular: Reflectance = Field(
         default=(0.5, 0.5, 0.5), description="Ks: specular reflectance facing the surface, grey or [r, g, b]"
     )
-    alpha: Number | None = Field(default=None, ge=0.001, le=1.63, description="width of the highlight itself; or say roughness")
+    alpha: Number | None = Field(default=None, ge=0.001, le=10, description="width of the highlight itself; or say roughness")
     roughness: Number | None = Field(default=None, gt=0, le=1, description="pbrt's roughness (default 0.1); or say alpha")
     remap: YesNo | None = Field(default=None, description="whether roughness is remapped to alpha as pbrt does (default true)")
 
@@ -180,7 +180,10 @@ def _lights_kind(value: Any) -> str | None:
     return pattern if isinstance(pattern, str) else None
 
 
-Explicit = Annotated[tuple[Annotated[Light, BeforeValidator(_direction)], ...], Field(min_length=1, max_length=1000)]
+Explicit = Annotated[
+    tuple[Annotated[Light, BeforeValidator(_direction, json_schema_input_type=Vector | Light)], ...],
+    Field(min_length=1, max_length=1000),
+]
 Lights = Annotated[
     Annotated[Explicit, Tag("explicit")]
     | Annotated[Ring, Tag("ring")]
@@ -198,15 +201,17 @@ class Orthographic(Part):
     """Parallel projection."""
 
     kind: Literal["orthographic"]
-    width_mm: Number = Field(gt=0, description="millimetres across the whole picture's width")
-    distance_mm: Number = Field(default=1000.0, gt=0, description="from the camera to the origin; only depth depends on it")
+    width_mm: Number = Field(ge=0.001, le=1e6, description="millimetres across the whole picture's width")
+    distance_mm: Number = Field(
+        default=1000.0, gt=0, le=1e6, description="from the camera to the origin; only depth depends on it"
+    )
 
 
 class Perspective(Part):
     """Pinhole camera, centred unless K says otherwise."""
 
     kind: Literal["perspective"]
-    distance_mm: Number = Field(gt=0, description="from the camera to the origin")
+    distance_mm: Number = Field(gt=0, le=1e6, description="from the camera to the origin")
     focal_px: Number | None = Field(default=None, gt=0, description="focal length in pixels")
     fov_degrees: Number | None = Field(default=None, gt=0.1, lt=150, description="horizontal field of view")
     K: tuple[Vector, Vector, Vector] | None = Field(

@@ -31,13 +31,14 @@ def alpha_from_roughness(roughness: float) -> float:
     return 1.62142 + x * (0.819955 + x * (0.1734 + x * (0.0171201 + x * 0.000640711)))
 
 
-def trowbridge_reitz(cos_h: Array, alpha: Array) -> Array:
-    """D(h) of the isotropic Trowbridge-Reitz (GGX) distribution.
+def trowbridge_reitz(cos_h: Array, alpha: Array, sin2_h: Array = None) -> Array:
+    """D(h) of the isotropic Trowbridge-Reitz (GGX) distribution; 0 below the horizon.
 
-    cos_h: n.h. alpha: width. Returns 0 below the horizon. Source: PBR 3rd edition, Eq. 8.11.
+    cos_h: n.h. alpha: width. sin2_h: 1 - cos_h^2, if it is known better than that difference gives it, which for a narrow lobe in float32
+    loses all digits (see `cosines`). Source: PBR 3rd edition, Eq. 8.11.
     """
     c2 = cos_h * cos_h
-    d = c2 * (alpha * alpha - 1.0) + 1.0
+    d = c2 * (alpha * alpha) + ((1.0 - c2) if sin2_h is None else sin2_h)
     return (cos_h > 0) * (alpha * alpha) / (math.pi * d * d)
 
 
@@ -57,17 +58,19 @@ def substrate_diffuse(cos_i: Array, cos_o: Array, diffuse: Array, specular: Arra
     return lit * (28.0 / 23.0) * diffuse * (1.0 - specular) * dim * cos_i
 
 
-def substrate_specular(cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array, specular: Array, alpha: Array) -> Array:
+def substrate_specular(
+    cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array, specular: Array, alpha: Array, sin2_h: Array = None
+) -> Array:
     """The substrate's specular radiance over light intensity: pi D(h) F mi / (4 |wi.h| max(mi, mo)); no shadowing term.
 
-    cos_i, cos_o, cos_h, cos_d: n.l, n.v, n.h and l.h, any shape; 0 where n.l or n.v is not positive. Source: PBR 3rd edition, Eq.
-    8.21.
+    cos_i, cos_o, cos_h, cos_d: n.l, n.v, n.h and l.h, any shape; 0 where n.l or n.v is not positive. sin2_h: see `trowbridge_reitz`.
+    Source: PBR 3rd edition, Eq. 8.21.
     """
     lit = (cos_i > 0) & (cos_o > 0)
     larger = _maximum(cos_i, cos_o)
     divisor = 4.0 * abs(cos_d) * larger
     safe = divisor + (divisor <= 0) * 1.0
-    return lit * math.pi * trowbridge_reitz(cos_h, alpha) * schlick(specular, cos_d) * cos_i / safe
+    return lit * math.pi * trowbridge_reitz(cos_h, alpha, sin2_h) * schlick(specular, cos_d) * cos_i / safe
 
 
 def lambertian(cos_i: Array, albedo: Array) -> Array:
@@ -75,10 +78,11 @@ def lambertian(cos_i: Array, albedo: Array) -> Array:
     return albedo * cos_i * (cos_i > 0)
 
 
-def cosines(normal: Array, light: Array, view: Array) -> tuple[Array, Array, Array, Array]:
-    """(n.l, n.v, n.h, l.h), each with a trailing axis of one so that it broadcasts over colour.
+def cosines(normal: Array, light: Array, view: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """(n.l, n.v, n.h, l.h, 1 - (n.h)^2), each with a trailing axis of one so that it broadcasts over colour.
 
-    normal, light, view: unit vectors (..., 3), the latter two from the surface. h is the half vector of light and view.
+    normal, light, view: unit vectors (..., 3), the latter two from the surface. h is the half vector of light and view. The last one comes
+    from |n - h|, so that it keeps its digits where n and h nearly agree.
     """
     half = light + view
     half = half / ((half * half).sum(-1)[..., None] ** 0.5)
@@ -86,7 +90,8 @@ def cosines(normal: Array, light: Array, view: Array) -> tuple[Array, Array, Arr
     def dot(a: Array, b: Array) -> Array:
         return (a * b).sum(-1)[..., None]
 
-    return dot(normal, light), dot(normal, view), dot(normal, half), dot(light, half)
+    apart = dot(normal - half, normal - half)
+    return dot(normal, light), dot(normal, view), dot(normal, half), dot(light, half), apart * (1.0 - 0.25 * apart)
 
 
 def shade(normal: Array, light: Array, view: Array, diffuse: Array, specular: Array, alpha: Array) -> tuple[Array, Array, Array]:
@@ -95,10 +100,10 @@ def shade(normal: Array, light: Array, view: Array, diffuse: Array, specular: Ar
     normal, light, view: unit (..., 3) that broadcast together. diffuse, specular: Rd, Rs, broadcasting with (..., 3). alpha:
     (..., 1) or a float.
     """
-    mi, mo, mh, md = cosines(normal, light, view)
+    mi, mo, mh, md, sh2 = cosines(normal, light, view)
     return (
         substrate_diffuse(mi, mo, diffuse, specular),
-        substrate_specular(mi, mo, mh, md, specular, alpha),
+        substrate_specular(mi, mo, mh, md, specular, alpha, sh2),
         lambertian(mi, diffuse) * (mo > 0),
     )
 

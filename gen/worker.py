@@ -42,6 +42,9 @@ class Worker:
         self.info: Mapping[str, Any] = {}
         self._start_timeout = start_timeout
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - bpy prints here as it likes; closed in `kill`
+        self._scratch = tempfile.TemporaryDirectory(
+            prefix="degloss-blender-", ignore_cleanup_errors=True
+        )  # Blender leaves a folder of its own in TMPDIR
         jobs_out, self._to = os.pipe()
         self._from, replies_in = os.pipe()
         try:
@@ -51,13 +54,14 @@ class Worker:
                 stdout=self._log,
                 stderr=self._log,
                 pass_fds=(jobs_out, replies_in),
-                env=_environment(blender),
+                env=_environment(blender) | {"TMPDIR": self._scratch.name},
                 start_new_session=True,  # so that a launcher's children can be ended with it, and Ctrl-C is ours to handle
             )
         except OSError as error:
             for fd in (self._to, self._from):
                 os.close(fd)
             self._log.close()
+            self._scratch.cleanup()
             raise InputError(f"{_command(blender)[0]}: cannot be started ({error.strerror})") from error
         finally:
             os.close(jobs_out)
@@ -106,6 +110,7 @@ class Worker:
                 os.close(fd)
         self._to = self._from = -1
         self._log.close()
+        self._scratch.cleanup()
 
     def end_process(self) -> None:
         """Kill the process group and wait for it; whoever reads from the worker then sees its end. Safe from any thread."""

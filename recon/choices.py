@@ -12,14 +12,16 @@ def settings_from(
     normals: str | None,
     height: str | None,
     threshold: str,
-    dilate: int,
+    dilate: str,
     saturated: str,
     shadows: str,
 ) -> Settings:
     """`Settings` of option values, None taking the default. Raises InputError for an unknown name or an impossible value."""
     given = {"gloss": gloss, "repair": inpaint, "normals": normals, "height": height}
     names = {key: value for key, value in given.items() if value is not None}
-    return Settings(**names, threshold=threshold_value(threshold), dilate=dilate, saturated=saturated, shadows=shadows)
+    return Settings(
+        **names, threshold=threshold_value(threshold), dilate=dilate_value(dilate), saturated=saturated, shadows=shadows
+    )
 
 
 def threshold_value(text: str) -> float | str:
@@ -32,12 +34,27 @@ def threshold_value(text: str) -> float | str:
         raise InputError(f"--threshold {text}: must be a positive number or auto") from None
 
 
+def dilate_value(text: str) -> int:
+    """The whole number that the text says. Raises InputError for anything else."""
+    try:
+        return whole_number(text)
+    except ValueError:
+        raise InputError(f"--dilate {text}: must be a whole number of pixels, 0 or more") from None
+
+
+def whole_number(text: str) -> int:
+    """A number of plain digits, blanks around them allowed. Raises ValueError for anything else."""
+    if not (text.strip().isascii() and text.strip().isdecimal() and len(text) < 20):
+        raise ValueError(text)
+    return int(text)
+
+
 def frame_numbers(text: str | None) -> list[int] | None:
     """0-based indices of a list such as "1,3,5" of numbers from 1; None for None. Raises InputError for anything else."""
     if text is None:
         return None
     try:
-        numbers = [int(word) for word in text.split(",")]
+        numbers = [whole_number(word) for word in text.split(",")]
     except ValueError:
         raise InputError(f"--lights {text}: must be numbers from 1 with commas between them, such as 1,3,5") from None
     if any(number < 1 for number in numbers):

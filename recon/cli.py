@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-app = App(name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.")
+app = App(name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.", help_format="plaintext")
 
 
 @app.command
@@ -21,12 +21,12 @@ def run(
     normals: str | None = None,
     height: str | None = None,
     threshold: str = "auto",
-    dilate: int = 1,
+    dilate: str = "1",
     lights: str | None = None,
     saturated: Literal["drop", "keep"] = "drop",
     shadows: Literal["keep", "drop"] = "keep",
     encoding: Literal["srgb", "linear"] | None = None,
-    json: bool = False,
+    json: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
 ) -> None:
     """Measure the shape of a capture.
 
@@ -54,9 +54,9 @@ def run(
     lights
         The pictures to use, numbered from 1 in file order, such as 1,3,5. Default: all.
     saturated
-        Whether clipped samples are left out where the other lights suffice.
+        Whether clipped samples are left out where the other lights suffice, and repaired elsewhere, or used like all others.
     shadows
-        Whether dark samples are left out where the other lights suffice.
+        Whether shadowed samples are used like all others, or left out where the other lights suffice.
     encoding
         How the files' numbers are meant. Default: 8-bit is sRGB, 16-bit and EXR are linear; what was taken is printed and
         recorded.
@@ -64,44 +64,54 @@ def run(
         Print the metrics as one JSON object on stdout.
     """
     from gen.capture import read_capture
-    from gen.files import dumps, writing_folder
+    from gen.files import dumps, keep_apart, writing_folder
     from recon.choices import frame_numbers, settings_from
+    from recon.compare import planned_rows
     from recon.output import write_into
-    from recon.pipeline import reconstruct, remove_gloss
+    from recon.pipeline import measure
     from recon.progress import steps
     from recon.tables import text_report
 
     settings = settings_from(gloss, inpaint, normals, height, threshold, dilate, saturated, shadows)
     chosen = frame_numbers(lights)
-    with writing_folder(output) as folder, steps(total=9) as step:
+    keep_apart(capture, output)
+    with writing_folder(output, "measurement") as folder, steps() as step:
         step("reading")
         pictures = read_capture(capture, encoding)
         if chosen is not None:
             pictures = pictures.select(chosen)
-        step("removing the gloss")
-        layers = remove_gloss(pictures, settings)
-        shape = reconstruct(pictures, layers, settings, step)
+        step.expect(5 + len(planned_rows(settings, pictures.truth)))
+        shape = measure(pictures, **vars(settings), progress=step)
         metrics = write_into(shape, folder, step)
     print(dumps(metrics) if json else f"{text_report(metrics)}\n\n{output / (metrics['report'] or 'metrics.json')}")
 
 
 @app.command
-def methods(*, json: bool = False) -> None:
-    """List the names of the gloss removers, repairs, solvers and integrators.
+def methods(*, json: Annotated[bool, Parameter(negative=(), show_default=False)] = False) -> None:
+    """List the names of the gloss removers, repairs, solvers and integrators, each with its source.
 
     Parameters
     ----------
     json
         Print one JSON object on stdout.
     """
+    import textwrap
+
     from gen.files import dumps
     from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR
 
-    tables = {registry.option: registry.describe() for registry in (GLOSS, REPAIR, NORMALS, HEIGHT)}
+    tables = {
+        "--gloss": GLOSS.describe(),
+        "--inpaint": REPAIR.describe(),
+        "--normals": NORMALS.describe(),
+        "--height": HEIGHT.describe(),
+    }
     if json:
-        print(dumps(tables))
+        print(dumps({option: {n: {"what": w, "source": s} for n, (w, s) in names.items()} for option, names in tables.items()}))
         return
     for option, names in tables.items():
         print(option)
-        for name, line in names.items():
+        for name, (line, source) in names.items():
             print(f"  {name:<15} {line}")
+            if source:
+                print(textwrap.fill(source, 110, initial_indent=" " * 18, subsequent_indent=" " * 18))

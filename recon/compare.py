@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gen.capture import Capture
+from gen.capture import Capture, Truth
 from recon.metrics import (
     angle_summary,
     angular_error,
@@ -20,8 +20,9 @@ from recon.metrics import (
     normal_bytes,
     regions,
 )
-from recon.pipeline import Progress, Settings, Shape, reconstruct, remove_gloss
-from recon.registry import Layers
+from recon.pipeline import Progress, Settings, Shape, reconstruct
+from recon.registry import GLOSS
+from recon.suitability import clipped_share, doubts
 
 Floats = NDArray[np.float32]
 
@@ -47,6 +48,11 @@ class Comparison:
         """The shape from the non-glossy pictures, the paper's yardstick; None where they are not known."""
         return self.rows.get("true matte")
 
+    def label(self, name: str) -> str:
+        """What a row is called: its entry in `LABELS`, but nothing is called removed that was not."""
+        bare = name == "repaired" and self.rows[name].settings.gloss == "none"
+        return "glossy pictures, repaired" if bare else LABELS[name]
+
     def height_range(self) -> tuple[float, float]:
         """The range of the non-glossy result's heights, one scale for all height pictures; without it the first row's."""
         shape = self.reference or next(iter(self.rows.values()))
@@ -54,65 +60,93 @@ class Comparison:
         return float(known.min()), float(known.max())
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """Every row's figures: "truth" (errors against the true geometry) and "matte" (deviation from the non-glossy result)."""
+        """Every row's figures, as `truth_figures` gives them, with "label", "measured" (percent of the mask), "non-glossy" (`deviation`
+        from the non-glossy result) and "gap closed" where the glossy and the non-glossy pictures are known.
+
+        All rows are judged on the same pixels, those that every row measured: leaving the difficult ones out closes no gap.
+        """
+        common = np.logical_and.reduce([shape.normals.measurable for shape in self.rows.values()])
         tree: dict[str, dict[str, Any]] = {}
         for name, shape in self.rows.items():
-            tree[name] = {"label": LABELS[name], **truth_figures(shape)}
+            measured = 100 * float(shape.normals.measurable[self.capture.mask].mean())
+            tree[name] = {"label": self.label(name), "measured": measured, **truth_figures(shape, common)}
             if self.reference is not None:
                 tree[name]["non-glossy"] = deviation(shape, self.reference, self.height_range())
-        if "glossy" in tree and "true matte" in tree and "normals" in tree["glossy"]:
-            ends = [tree[name]["normals"]["mask"]["mean"] for name in ("glossy", "true matte")]
-            for row in tree.values():
-                row["gap closed"] = gap_closed(ends[0], row["normals"]["mask"]["mean"], ends[1])
+        ends = [_mean_error(tree.get(name, {})) for name in ("glossy", "true matte")]
+        for row in tree.values():
+            error = _mean_error(row)
+            if error is not None and ends[0] is not None and ends[1] is not None:
+                row["gap closed"] = gap_closed(ends[0], error, ends[1])
         return tree
+
+
+def planned_rows(settings: Settings, truth: Truth) -> list[str]:
+    """The names of the rows that a comparison of a measurement by these settings has."""
+    there = {
+        "glossy": True,
+        "removed": settings.gloss != "none",
+        "repaired": settings.repair != "none",
+        "true diffuse": truth.diffuse is not None,
+        "true matte": truth.matte is not None,
+    }
+    return [name for name in LABELS if there[name]]
 
 
 def compare(shape: Shape, progress: Progress | None = None) -> Comparison:
     """Measure the capture of `shape` again from the glossy pictures, without the repair, and from the true layers it has.
 
     The solver, the integrator and the exposure are those of `shape`, and so are the clipped samples; only the pictures differ.
+    progress: called with the name of each row.
     """
     capture, settings = shape.capture, shape.settings
     bare = replace(settings, gloss="none", repair="none")
+    wanted = {
+        "glossy": bare,
+        "removed": replace(settings, repair="none"),
+        "repaired": settings,
+        "true diffuse": replace(bare, gloss="true-diffuse"),
+        "true matte": replace(bare, gloss="true-matte"),
+    }
     rows: dict[str, Shape] = {}
-
-    def row(name: str, layers: Layers | None, chosen: Settings) -> None:
+    for name in planned_rows(settings, capture.truth):
         if progress is not None:
             progress(f"comparing: {LABELS[name]}")
-        rows[name] = reconstruct(capture, layers or remove_gloss(capture, chosen), chosen)
-
-    if (settings.gloss, settings.repair) != ("none", "none"):
-        row("glossy", None, bare)
-    else:
-        rows["glossy"] = shape
-    if settings.gloss != "none":
-        if settings.repair != "none":
-            row("removed", shape.layers, replace(settings, repair="none"))
+        chosen = wanted[name]
+        if chosen == settings:
+            rows[name] = shape
         else:
-            rows["removed"] = shape
-    if settings.repair != "none":
-        rows["repaired"] = shape
-    if capture.truth.diffuse is not None:
-        row("true diffuse", None, replace(bare, gloss="true-diffuse"))
-    if capture.truth.matte is not None:
-        row("true matte", None, replace(bare, gloss="true-matte"))
+            layers = shape.layers if chosen.gloss == settings.gloss else GLOSS.load(chosen.gloss)(capture)
+            rows[name] = reconstruct(capture, layers, chosen)
     return Comparison(capture, rows)
 
 
-def truth_figures(shape: Shape) -> dict[str, Any]:
-    """Errors against the true geometry: "normals" by region (degrees), "height" (after the best shift). Empty without truth."""
+def truth_figures(shape: Shape, among: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    """Errors against the true geometry: "normals" by region (degrees), "height" (metres). Empty without truth.
+
+    among: (H, W), the pixels to judge on; default: all that were measured. Heights are compared after the best shift and, where the
+    view is perspective or no scale is known, the best scale.
+    """
     truth, capture = shape.capture.truth, shape.capture
+    judged = capture.mask if among is None else capture.mask & among
     tree: dict[str, Any] = {}
     if truth.normals is not None:
         error = angular_error(shape.normals.normal, truth.normals)
-        parts = regions(capture.mask, truth.normals, capture.lights)
-        tree["normals"] = {name: angle_summary(error, region) for name, region in parts.items()}
+        parts = regions(capture, truth.normals)
+        tree["normals"] = {name: angle_summary(error, region & judged) for name, region in parts.items()}
     true = true_height(capture)
-    if true is not None:
-        perspective_or_unscaled = capture.scale.camera is not None or shape.height.unit == "px"
-        tree["height"] = height_error(shape.height.height, true, capture.mask, perspective_or_unscaled)
-        tree["height"]["unit"] = shape.height.unit
+    if true is not None and (judged & np.isfinite(true) & np.isfinite(shape.height.height)).any():
+        tree["height"] = height_error(shape.height.height, true, judged, free_scale(shape))
     return tree
+
+
+def free_scale(shape: Shape) -> bool:
+    """Whether heights are compared after the best scale too: where none is known, or the view is perspective."""
+    return shape.capture.scale.camera is not None or shape.height.unit == "px"
+
+
+def _mean_error(row: Mapping[str, Any]) -> float | None:
+    value: float | None = row.get("normals", {}).get("mask", {}).get("mean")
+    return value
 
 
 def true_height(capture: Capture) -> Floats | None:
@@ -153,11 +187,13 @@ def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[st
         "size": list(reversed(capture.size)),
         "pixels": int(capture.mask.sum()),
         "measured percent": 100 * float(shape.normals.measurable[capture.mask].mean()),
-        "clipped percent": 100 * float(((capture.flags & 2) > 0)[:, capture.mask].mean()),
+        "clipped percent": 100 * clipped_share(capture),
         "defects": {"threshold": shape.defects.threshold, "percent": 100 * float(shape.defects.mask[:, capture.mask].mean())},
         "height": {"unit": shape.height.unit, "low": float(known.min()), "high": float(known.max())},
         "uncertainty degrees": {"median": float(np.median(uncertainty))} if uncertainty.size else None,
         "seconds": dict(shape.seconds),
+        "notes": doubts(capture),
+        "provenance": dict(capture.provenance),
     }
     truth = truth_figures(shape)
     if truth:

@@ -33,9 +33,6 @@ separated substrate diffuse layer, which is not Lambertian, leaves .03; gloss le
 USUAL = 2.5
 """Times the lower quartile of that residual that still counts as agreement: two in three pixels of mere noise pass."""
 
-LIT = 0.05
-"""Share of a pixel's brightest sample above which a sample counts as lit."""
-
 BINS = 256
 
 
@@ -49,7 +46,12 @@ class Defects:
 
 
 def find_defects(
-    specular: Floats, capture: Capture, threshold: float | str = "auto", dilate: int = 1, pictures: Floats | None = None
+    specular: Floats,
+    capture: Capture,
+    threshold: float | str = "auto",
+    dilate: int = 1,
+    pictures: Floats | None = None,
+    clipped_too: bool = True,
 ) -> Defects:
     """Samples whose estimated specular luma exceeds a threshold, and clipped ones, each picture's set dilated inside the mask.
 
@@ -58,6 +60,7 @@ def find_defects(
     alone). dilate: radius in pixels of the disk that the defects grow by, 0 for none; missing samples are never defects, they are missing.
     With "auto" the threshold rises until the dilated defects cover at most `MAJORITY` of the object; clipped samples count nevertheless.
     pictures: (K, H, W, 3) radiance, what the remover left: with "auto", samples of pixels where it is `corroborated` are no defects.
+    clipped_too: whether clipped samples are defects whatever lies on them.
     Raises InputError where shapes disagree, the threshold is not a positive number, or `dilate` is negative.
     Source: thresholding the estimated specular picture is the paper's; automatic choice after N. Otsu, "A threshold selection method
     from gray-level histograms" (1979).
@@ -69,8 +72,8 @@ def find_defects(
     if threshold != "auto" and not (isinstance(threshold, int | float) and np.isfinite(threshold) and threshold > 0):
         raise InputError(f"--threshold {threshold}: must be a positive number (1 is a white surface facing the light) or auto")
     luma = grey(capture.reflectance(specular))
-    there = capture.mask & ((capture.flags & Fault.MISSING) == 0)
-    clipped = ((capture.flags & Fault.CLIPPED) != 0) & there
+    there = capture.mask & ((capture.faults & Fault.MISSING) == 0)
+    clipped = ((capture.faults & Fault.CLIPPED) != 0) & there
     doubtful = there
     if threshold == "auto" and pictures is not None:
         doubtful = there & ~corroborated(pictures, capture)
@@ -84,7 +87,7 @@ def find_defects(
                 x *= 1.25
                 found = _dilated((luma[k] > x) & doubtful[k], dilate) & there[k]
         used[k] = x
-        mask[k] = found | (_dilated(clipped[k], dilate) & there[k])
+        mask[k] = found | (_dilated(clipped[k], dilate) & there[k]) if clipped_too else found
     return Defects(mask=mask, threshold=used, method="auto" if threshold == "auto" else "manual")
 
 
@@ -98,15 +101,16 @@ def corroborated(pictures: Floats, capture: Capture) -> Bools:
     Source: the residual test is that of any overdetermined fit, used so by Coleman and Jain, "Obtaining 3-dimensional shape of textured
     and specular surfaces using four-source photometry" (1982).
     """
+    from recon.conditioning import lit
     from recon.normals.least_squares import solve
 
     y = grey(capture.reflectance(pictures))[:, capture.mask]
-    usable = ((capture.flags & int(Fault.MISSING | Fault.CLIPPED)) == 0)[:, capture.mask]
-    lit = (usable & (y > LIT * y.max(axis=0))).astype(np.float32)
-    b, _, measurable = solve(y, capture.lights, lit)
-    spare = lit.sum(axis=0) - 3
+    usable = ((capture.faults & int(Fault.MISSING | Fault.CLIPPED)) == 0)[:, capture.mask]
+    weights = (usable & lit(y)).astype(np.float32)
+    b, _, measurable = solve(y, capture.lights, weights)
+    spare = weights.sum(axis=0) - 3
     length = np.linalg.norm(b, axis=1)
-    square = (lit * (y - (capture.lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
+    square = (weights * (y - (capture.lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
     judged = measurable & (spare > 0) & (length > 0)
     residual = np.full(len(b), np.inf)
     residual[judged] = np.sqrt(square[judged] / spare[judged]) / length[judged]

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from gen.capture import read_capture
 from gen.files import dumps, writing_folder
+from recon.compare import planned_rows
 from recon.output import write_into
-from recon.pipeline import Settings, reconstruct, remove_gloss
+from recon.pipeline import Settings, measure
 from recon.progress import steps
 from recon.tables import text_report
 
@@ -30,15 +31,13 @@ def run_demo(output: Path, json: bool = False) -> None:
     require("bpy")
     require("report")
     start = time.perf_counter()
-    settings = Settings()
-    with writing_folder(output) as folder, steps(total=12) as step:
+    with writing_folder(output, "demo") as folder, steps() as step:
         step("rendering with Blender")
         render_capture(read_spec(PRESET), folder / "capture")
         step("reading")
         capture = replace(read_capture(folder / "capture"), source=PRESET)
-        step("removing the gloss")
-        layers = remove_gloss(capture, settings)
-        shape = reconstruct(capture, layers, settings, step)
+        step.expect(5 + len(planned_rows(Settings(), capture.truth)))
+        shape = measure(capture, progress=step)
         metrics = write_into(shape, folder, step)
     if json:
         print(dumps(metrics))

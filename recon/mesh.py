@@ -52,11 +52,20 @@ def surface_mesh(points: Floats, normal: Floats | None = None, albedo: Floats | 
     return trimesh.Trimesh(points[known].astype(np.float64), faces, process=False, **options)
 
 
-def write_mesh(mesh: trimesh.Trimesh, path: Path) -> None:
-    """Write a mesh in the format of the path's ending (.ply, .glb, .obj, .stl), by a temporary name; InputError where it cannot."""
+def write_mesh(mesh: trimesh.Trimesh, path: Path, unit: str) -> None:
+    """Write a mesh as .ply (binary) or .glb by the path's ending, by a temporary name.
+
+    unit: of its lengths, "m" or "px", which the file says: a comment in a PLY, an extra in a GLB (whose own unit is the metre).
+    Raises InputError where it cannot be written.
+    """
+    named = mesh.copy()
+    named.metadata["unit"] = unit
+    data: bytes = named.export(file_type=path.suffix.lstrip("."))
+    if path.suffix == ".ply":
+        first, rest = data.split(b"\n", 1)
+        data = first + b"\n" + rest.replace(b"\n", f"\ncomment unit {unit}\n".encode(), 1)
     with writing(path) as temporary:
-        data = mesh.export(file_type=path.suffix.lstrip("."))
-        temporary.write_bytes(data if isinstance(data, bytes) else data.encode())
+        temporary.write_bytes(data)
 
 
 def _triangles(a: NDArray[Any], b: NDArray[Any], c: NDArray[Any], where: NDArray[Any]) -> NDArray[Any]:
@@ -65,6 +74,6 @@ def _triangles(a: NDArray[Any], b: NDArray[Any], c: NDArray[Any], where: NDArray
 
 
 def _srgb(linear: Floats) -> NDArray[np.uint8]:
-    from gen.images import linear_to_srgb
+    from gen.srgb import linear_to_srgb
 
     return np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gen.capture import Capture
 from gen.errors import InputError
 
 Floats = NDArray[np.float32]
@@ -52,32 +52,43 @@ def eroded(mask: Bools, pixels: int = 2) -> Bools:
     return result
 
 
-def regions(mask: Bools, true: Floats, lights: NDArray[np.float64]) -> dict[str, Bools]:
-    """The regions that errors are given on: the full mask, the mask eroded by 2 px, and the pixels turned toward every light.
+def regions(capture: Capture, true: Floats) -> dict[str, Bools]:
+    """The regions that errors are given on: the full mask, the mask eroded by 2 px, and the pixels that every light reaches.
 
-    mask: (H, W). true: (H, W, 3) true normals. lights: (K, 3).
+    true: (H, W, 3) true normals. A light reaches a pixel where the matte truth is above 0 or, without it, where the normal faces the light:
+    then cast shadows are not known of.
     """
-    facing = (true.astype(np.float64) @ lights.T > 0).all(axis=-1)
-    return {"mask": mask, "eroded": eroded(mask), "lit by all": mask & facing}
+    matte = capture.truth.matte
+    reached = (true.astype(np.float64) @ capture.lights.T > 0).all(axis=-1)
+    if matte is not None:
+        reached &= (matte.max(axis=-1) > 0).all(axis=0)
+    return {"mask": capture.mask, "eroded": eroded(capture.mask), "lit by all": capture.mask & reached}
 
 
-def height_error(height: Floats, true: Floats, mask: Bools, scaled: bool) -> dict[str, float]:
-    """Root mean square, mean absolute and relative error of heights after the best shift, and the best scale where `scaled`.
+def fitted_height(height: Floats, true: Floats, mask: Bools, scaled: bool) -> tuple[Floats, float]:
+    """Heights after the shift, and the scale where `scaled`, that brings them nearest to the true ones (least squares).
 
-    height, true: (H, W) in one unit, NaN where unknown. The shift (and scale) is the least-squares one over the pixels that both
-    know.
-    Returns rmse and mae in that unit, percent (rmse in % of the true range) and scale. Raises InputError where nothing is known
-    to both.
+    height: (H, W), NaN where unknown. true: (H, W) in metres, NaN where unknown; so is height unless `scaled`. mask: (H, W), the pixels
+    that count. Returns the fitted heights (H, W) in metres, and the scale. Raises InputError where no pixel has both.
     """
     both = mask & np.isfinite(height) & np.isfinite(true)
     if not both.any():
         raise InputError("no pixel has both a measured and a true height")
     a, b = height[both].astype(np.float64), true[both].astype(np.float64)
-    a0, b0 = a - a.mean(), b - b.mean()
-    power = float(a0 @ a0)
-    scale = float(a0 @ b0) / power if scaled and power > 0 else 1.0
-    difference = scale * a0 - b0
-    spread = float(np.ptp(b))
+    spread = a - a.mean()
+    power = float(spread @ spread)
+    scale = float(spread @ (b - b.mean())) / power if scaled and power > 0 else 1.0
+    return (scale * (height - a.mean()) + b.mean()).astype(np.float32), scale
+
+
+def height_error(height: Floats, true: Floats, mask: Bools, scaled: bool) -> dict[str, float]:
+    """Errors of heights after the fit of `fitted_height`, whose arguments and errors these are.
+
+    Returns rmse (root mean square) and mae (mean absolute) in metres, percent (rmse in % of the true range) and the scale.
+    """
+    fitted, scale = fitted_height(height, true, mask, scaled)
+    difference = (fitted - true)[mask & np.isfinite(fitted) & np.isfinite(true)].astype(np.float64)
+    spread = float(np.ptp(true[mask & np.isfinite(height) & np.isfinite(true)]))
     rmse = float(np.sqrt((difference**2).mean()))
     return {
         "rmse": rmse,
@@ -94,8 +105,8 @@ def mse(a: NDArray[Any], b: NDArray[Any], region: Bools | None = None) -> float:
 
 
 def normal_bytes(normal: Floats) -> NDArray[np.uint8]:
-    """A normal map as the 8-bit picture (n + 1) / 2, 127.5 rounded down outside: the form of the paper's Fig. 4.2 to 4.5."""
-    return np.clip(np.floor((normal + 1) * 127.5), 0, 255).astype(np.uint8)
+    """A normal map as the 8-bit picture (n + 1) / 2, rounded, 128 where there is none: the form of the paper's Fig. 4.2 to 4.5."""
+    return np.clip(np.rint((normal + 1) * 127.5), 0, 255).astype(np.uint8)
 
 
 def height_bytes(height: Floats, low: float, high: float) -> NDArray[np.uint8]:
@@ -112,11 +123,3 @@ def gap_closed(glossy: float, method: float, matte: float, least: float = 1.0) -
     """
     gap = glossy - matte
     return (glossy - method) / gap if gap >= least else None
-
-
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A tree of figures as one level of "a.b.c" names."""
-    found: dict[str, Any] = {}
-    for key, value in tree.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return found

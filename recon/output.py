@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.exr import unstack, write_exr
-from gen.files import writing_folder
+from gen.files import write_json, writing_folder
 from gen.images import write_png
 from gen.parts import PARTS
 from recon.compare import Comparison, compare, shape_metrics
@@ -29,7 +29,7 @@ def write_shape(shape: Shape, folder: Path, progress: Progress | None = None) ->
     defects/; mesh.ply, mesh.glb; metrics.json; report.html (left out, with a line on stderr, where its package is missing).
     Raises InputError where the folder cannot be written.
     """
-    with writing_folder(folder) as temporary:
+    with writing_folder(folder, "measurement") as temporary:
         return write_into(shape, temporary, progress)
 
 
@@ -41,22 +41,24 @@ def write_into(shape: Shape, folder: Path, progress: Progress | None = None) -> 
     _write_maps(shape, folder)
     _write_layers(shape, folder)
     mesh = shape.mesh()
-    write_mesh(mesh, folder / "mesh.ply")
-    write_mesh(mesh, folder / "mesh.glb")
+    for name in ("mesh.ply", "mesh.glb"):
+        write_mesh(mesh, folder / name, shape.height.unit)
     metrics = shape_metrics(shape, comparison)
     metrics["mesh"] = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces), "unit": shape.height.unit}
     metrics["report"] = _write_report(shape, comparison, metrics, folder)
-    from gen.files import write_json
-
     write_json(folder / "metrics.json", metrics)
     return metrics
 
 
 def _write_maps(shape: Shape, folder: Path) -> None:
     normals, height = shape.normals, shape.height
-    write_exr(folder / "normal.exr", unstack("normal", "XYZ", normals.normal) | {"uncertainty.V": normals.uncertainty})
+    frame = {"degloss.frame": "x right, y up, z to the viewer"}
+    lengths = frame | {"degloss.unit": height.unit}
+    write_exr(
+        folder / "normal.exr", unstack("normal", "XYZ", normals.normal) | {"uncertainty.V": normals.uncertainty}, header=frame
+    )
     write_png(folder / "normal.png", normal_picture(normals.normal, normals.measurable))
-    write_exr(folder / "height.exr", {"height.Z": height.height} | unstack("points", "XYZ", height.points))
+    write_exr(folder / "height.exr", {"height.Z": height.height} | unstack("points", "XYZ", height.points), header=lengths)
     known = np.isfinite(height.height)
     low, high = float(height.height[known].min()), float(height.height[known].max())
     scaled = np.where(known, (height.height - low) / max(high - low, 1e-30), 0)
@@ -65,14 +67,14 @@ def _write_maps(shape: Shape, folder: Path) -> None:
 
 
 def _write_layers(shape: Shape, folder: Path) -> None:
+    """The remover's layers, where there was one, and the defects."""
     capture, layers = shape.capture, shape.layers
     white = white_of(capture.images, capture.mask)
-    stacks = {"diffuse": layers.diffuse, "specular": layers.specular, "matte": layers.matte}
-    for name, stack in stacks.items():
-        for k in range(capture.count) if stack is not None else ():
-            assert stack is not None
-            write_exr(folder / name / f"{k + 1:03d}.exr", unstack("", "RGB", stack[k]))
-            write_png(folder / name / f"{k + 1:03d}.png", tone(stack[k], white))
+    found = {"diffuse": layers.diffuse, "specular": layers.specular, "matte": layers.matte}
+    for name, stack in found.items() if shape.settings.gloss != "none" else ():
+        for k, picture in enumerate(stack if stack is not None else ()):
+            write_exr(folder / name / f"{k + 1:03d}.exr", unstack("", "RGB", picture))
+            write_png(folder / name / f"{k + 1:03d}.png", tone(picture, white))
     for k in range(capture.count):
         write_png(folder / "defects" / f"{k + 1:03d}.png", shape.defects.mask[k].astype(np.uint8) * 255)
 

@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gen.errors import InputError, MissingPart
+from gen.errors import InputError
 from gen.files import writing
+from gen.parts import require
 from recon.pictures import Picture, colour_strip, photo_bytes, png_bytes
+from recon.tables import Column
 
 if TYPE_CHECKING:
     import trimesh
@@ -64,15 +66,6 @@ class Row:
     columns: int | None = None
     title: str = ""
     caption: str = ""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table. format: Python's format of its numbers, such as ".2f". unit: shown under the title."""
-
-    title: str
-    format: str = ".2f"
-    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +183,8 @@ def write_page(path: str | Path, page: Page) -> None:
 
 def render_page(page: Page) -> str:
     """The page as one self-contained HTML text. Raises InputError where parts do not fit together, MissingPart without jinja2."""
-    try:
-        import jinja2
-    except ImportError as error:
-        raise MissingPart("the report needs jinja2; pip install 'degloss[report]'") from error
+    require("report")
+    import jinja2
 
     loader = jinja2.PackageLoader("recon", "templates")
     environment = jinja2.Environment(

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gen.errors import InputError
+from gen.srgb import linear_to_srgb
+from recon.metrics import normal_bytes
 
 Picture = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
@@ -23,8 +25,7 @@ OUTSIDE = (30, 32, 36)
 
 def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     """sRGB values in [0, 1] of linear ones (any shape), clipped to [0, 1]; NaN becomes 0. Source: IEC 61966-2-1."""
-    v = np.clip(np.nan_to_num(np.asarray(linear, dtype=np.float64), nan=0.0), 0, 1)
-    return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
+    return linear_to_srgb(np.clip(np.nan_to_num(np.asarray(linear, dtype=np.float64), nan=0.0), 0, 1))
 
 
 def white_of(images: NDArray[Any], mask: Bools | None = None, percentile: float = 99.0) -> float:
@@ -54,7 +55,7 @@ def normal_picture(normal: NDArray[Any], mask: Bools | None = None) -> Picture:
     """
     n = np.asarray(normal, dtype=np.float64)
     inside = np.isfinite(n).all(axis=-1) & (n != 0).any(axis=-1)
-    return _masked(_bytes((np.nan_to_num(n) + 1) / 2 * 255), inside if mask is None else mask & inside)
+    return _masked(normal_bytes(np.nan_to_num(n)), inside if mask is None else mask & inside)
 
 
 def sphere_legend(size: int = 96) -> Picture:
@@ -69,11 +70,14 @@ def sphere_legend(size: int = 96) -> Picture:
 
 
 def height_range(height: NDArray[Any], mask: Bools | None = None) -> tuple[float, float]:
-    """The lowest and the highest finite height (H, W), for pictures that share one scale; (0, 1) where there is none."""
+    """The heights (H, W) between which the colours of a picture run; (0, 1) where none is finite.
+
+    All but the lowest and the highest 0.2 %: a few steep pixels at the rim must not take the whole scale.
+    """
     values = height[np.isfinite(height) if mask is None else mask & np.isfinite(height)]
     if not values.size:
         return 0.0, 1.0
-    lo, hi = float(values.min()), float(values.max())
+    lo, hi = (float(v) for v in np.percentile(values, [0.2, 99.8]))
     return (lo, hi) if hi > lo else (lo - 0.5, lo + 0.5)
 
 
@@ -138,27 +142,10 @@ def overlay(picture: Picture, mask: Bools, colour: tuple[int, int, int] = (255, 
     return np.where(mask[..., None], _bytes(mixed), picture).astype(np.uint8)
 
 
-def grey_picture(values: NDArray[Any], top: float = 1.0) -> Picture:
-    """A map (H, W) from 0 (black) to `top` (white), linearly in the 8-bit value, such as a confidence or a mask."""
-    return _mapped(values, np.isfinite(values), 0.0, top, "grey")
-
-
 def colour_strip(colours: str = "error", width: int = 256, height: int = 1) -> Picture:
     """The colours from low (left) to high (right), (height, width, 3)."""
     index = np.round(np.linspace(0, 255, width)).astype(int)
     return np.repeat(_table(colours)[index][None], height, axis=0)
-
-
-def colour_bar(lo: float, hi: float, unit: str = "", colours: str = "error", width: int = 320, ink: int = 235) -> Picture:
-    """A colour bar with the values of its ends and middle written under it, (44, width, 3), on `OUTSIDE`."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    canvas = Image.new("RGB", (width, 44), OUTSIDE)
-    canvas.paste(Image.fromarray(colour_strip(colours, width - 16, 16)), (8, 6))
-    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(12)
-    for value, x, anchor in ((lo, 8, "la"), ((lo + hi) / 2, width // 2, "ma"), (hi, width - 8, "ra")):
-        draw.text((x, 26), f"{value:.3g}{unit and ' ' + unit}", fill=(ink, ink, ink), font=font, anchor=anchor)
-    return np.asarray(canvas, dtype=np.uint8)
 
 
 def png_bytes(picture: Picture) -> bytes:
@@ -166,7 +153,7 @@ def png_bytes(picture: Picture) -> bytes:
     return _encoded(picture, ".png", [16, 6])  # cv2.IMWRITE_PNG_COMPRESSION; 9 takes ten times as long for 13 % less
 
 
-def photo_bytes(picture: Picture, limit: int = 150_000) -> tuple[bytes, str]:
+def photo_bytes(picture: Picture, limit: int = 60_000) -> tuple[bytes, str]:
     """The picture as a PNG file where that takes at most `limit` bytes, else as a JPEG of quality 92; and its media type."""
     data = png_bytes(picture)
     if len(data) <= limit:

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gen.capture import Capture, Fault, require_spanning_lights
+from gen.capture import Capture, Fault, grey
 from gen.errors import InputError
-from recon.conditioning import leave_out
+from recon.conditioning import leave_out, lit, lowered
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired
+from recon.suitability import require_suitable
 
 if TYPE_CHECKING:
     import trimesh
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 Progress = Callable[[str], None]
 """Called with the name of each step as it begins."""
 
-GLOSSY_STEPS = ("removing the gloss", "repairing", "solving for normals", "integrating")
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -40,9 +39,10 @@ class Settings:
 
     gloss, repair, normals, height: names of `recon.registry`; "none" leaves the step out.
     threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto".
-    dilate: pixels by which defects grow. saturated, shadows: "drop" leaves clipped or dark samples out where the other lights
-    still determine the normal, "keep" uses them like all others (dark ones are kept by default: with few lights they are evidence
-    too).
+    dilate: pixels by which defects grow.
+    saturated: "drop" leaves clipped samples out where the other lights still determine the normal, and counts the rest of them as
+    defects; "keep" uses them like all others. shadows: the same for samples under `recon.conditioning.LIT` of their pixel's
+    brightest; they are kept by default, since with few lights a shadow is evidence too.
     Raises InputError for an unknown name or an impossible value.
     """
 
@@ -63,8 +63,8 @@ class Settings:
                 raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
         elif not (np.isfinite(self.threshold) and self.threshold > 0):
             raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
-        if self.dilate < 0:
-            raise InputError(f"--dilate {self.dilate}: must be 0 or more pixels")
+        if not 0 <= self.dilate <= 1000:
+            raise InputError(f"--dilate {self.dilate}: must be from 0 to 1000 pixels")
         for option, value in (("--saturated", self.saturated), ("--shadows", self.shadows)):
             if value not in ("keep", "drop"):
                 raise InputError(f"{option} {value}: must be keep or drop")
@@ -130,20 +130,14 @@ def measure(
 ) -> Shape:
     """Measure the shape of a capture. The choices are those of `Settings`.
 
-    Raises InputError where a name is unknown, fewer than three lights span space, or nothing can be measured.
+    Raises InputError where a name is unknown, the capture does not suit (see `recon.suitability`), or nothing can be measured.
     """
     settings = Settings(gloss, repair, normals, height, threshold, dilate, saturated, shadows)
+    require_suitable(capture)
     seconds: dict[str, float] = {}
-    with _timed(seconds, "gloss", GLOSSY_STEPS[0], progress):
-        layers = remove_gloss(capture, settings)
+    with _timed(seconds, "gloss", "removing the gloss", progress):
+        layers = GLOSS.load(settings.gloss)(capture)
     return reconstruct(capture, layers, settings, progress, seconds)
-
-
-def remove_gloss(capture: Capture, settings: Settings) -> Layers:
-    """The layers that the named remover finds. Raises InputError where the lights cannot serve photometric stereo."""
-    require_spanning_lights(capture.lights, capture.source)
-    layers: Layers = GLOSS.load(settings.gloss)(capture)
-    return layers
 
 
 def reconstruct(
@@ -151,48 +145,47 @@ def reconstruct(
     layers: Layers,
     settings: Settings,
     progress: Progress | None = None,
-    seconds: dict[str, float] | None = None,
+    seconds: Mapping[str, float] | None = None,
 ) -> Shape:
-    """From a remover's layers to the shape: defects, repair, normals, height. Raises InputError where nothing can be measured."""
+    """From a remover's layers to the shape: defects, repair, normals, height. Raises InputError where nothing can be measured.
+
+    seconds: times of what went before, to which those of the steps here are added.
+    """
     from recon.defects import find_defects
 
-    require_spanning_lights(capture.lights, capture.source)
-    seconds = {} if seconds is None else seconds
+    require_suitable(capture)
+    times = dict(seconds or {})
     consumed = "pictures" if settings.gloss == "none" else "diffuse" if layers.matte is None else "matte"
     pictures = layers.diffuse if layers.matte is None else layers.matte
-    with _timed(seconds, "repair", GLOSSY_STEPS[1], progress):
-        defects = find_defects(layers.specular, capture, settings.threshold, settings.dilate, pictures)
-        repaired: Repaired = REPAIR.load(settings.repair)(pictures, defects.mask, capture)
-    with _timed(seconds, "normals", GLOSSY_STEPS[2], progress):
+    with _timed(times, "repair", "repairing", progress):
+        drop_clipped = settings.saturated == "drop"
+        defects = find_defects(layers.specular, capture, settings.threshold, settings.dilate, pictures, drop_clipped)
+        repaired = REPAIR.load(settings.repair)(pictures, defects.mask, capture)
+    with _timed(times, "normals", "solving for normals", progress):
         weights = sample_weights(capture, layers, repaired, settings)
-        normals: Normals = NORMALS.load(settings.normals)(
-            capture.reflectance(repaired.images), capture.lights, capture.mask, weights
-        )
+        normals = NORMALS.load(settings.normals)(capture.reflectance(repaired.images), capture.lights, capture.mask, weights)
         if not normals.measurable.any():
             raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
-    with _timed(seconds, "height", GLOSSY_STEPS[3], progress):
-        height: Height = HEIGHT.load(settings.height)(normals.normal, normals.measurable, capture.scale)
-    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, dict(seconds))
+    with _timed(times, "height", "integrating", progress):
+        height = HEIGHT.load(settings.height)(normals.normal, normals.measurable, capture.scale)
+    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, times)
 
 
 def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, settings: Settings) -> NDArray[np.float32]:
     """What each sample counts, (K, H, W): the repair's weight times the remover's confidence, 0 where missing.
 
-    Clipped samples that no repair has filled, and dark ones where asked, are left out where the other lights determine the
-    normal.
+    Clipped samples, and shadowed ones where asked, are left out. Neither this nor the confidence goes further than the lights
+    allow: a pixel whose normal the other samples would no longer determine keeps them (see `recon.conditioning.lowered`).
     """
-    weights = repaired.weights
+    weights = np.where(capture.faults & Fault.MISSING, 0, repaired.weights).astype(np.float32)
     if layers.confidence is not None:
-        weights = weights * layers.confidence
-    weights = np.where(capture.flags & Fault.MISSING, 0, weights).astype(np.float32)
-    unwanted = Fault.NONE
-    if settings.saturated == "drop" and settings.repair == "none":
-        unwanted |= Fault.CLIPPED
+        weights = lowered(weights, weights * layers.confidence, capture.lights)
     if settings.shadows == "drop":
-        unwanted |= Fault.DARK
-    if not unwanted:
-        return weights
-    return leave_out(weights, (capture.flags & int(unwanted)) > 0, capture.lights)
+        shadow = ~lit(grey(capture.reflectance(repaired.images))) | ((capture.faults & Fault.DARK) > 0)
+        weights = leave_out(weights, shadow, capture.lights)
+    if settings.saturated == "drop":
+        weights = leave_out(weights, (capture.faults & Fault.CLIPPED) > 0, capture.lights)
+    return weights
 
 
 @contextmanager

@@ -7,10 +7,10 @@ To add a method: write a function of the protocol below, give its docstring a fi
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from gen.errors import InputError
 
@@ -99,8 +99,11 @@ class Integrator(Protocol):
     def __call__(self, normal: Floats, mask: Bools, scale: Scale) -> Height: ...
 
 
-class Registry(Mapping[str, str]):
-    """Names of one kind of method, each with its "module:function"."""
+Method = TypeVar("Method")
+
+
+class Registry(Mapping[str, str], Generic[Method]):
+    """Names of one kind of method, each with its "module:function". An unknown name is an InputError that lists the known ones."""
 
     def __init__(self, kind: str, option: str, table: Mapping[str, str]) -> None:
         self.kind = kind
@@ -108,10 +111,9 @@ class Registry(Mapping[str, str]):
         self._table = dict(table)
 
     def __getitem__(self, name: str) -> str:
-        try:
-            return self._table[name]
-        except KeyError:
-            raise InputError(f"{self.option} {name}: unknown {self.kind}; there are {', '.join(self._table)}") from None
+        if name not in self._table:
+            raise InputError(f"{self.option} {name}: unknown {self.kind}; there are {', '.join(self._table)}")
+        return self._table[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self._table
@@ -122,18 +124,23 @@ class Registry(Mapping[str, str]):
     def __len__(self) -> int:
         return len(self._table)
 
-    def load(self, name: str) -> Callable[..., Any]:
-        """The function of that name. Raises InputError where it is unknown, MissingPart where its packages are not installed."""
+    def load(self, name: str) -> Method:
+        """The function of that name. Raises InputError where it is unknown."""
         module, function = self[name].split(":")
-        found: Callable[..., Any] = getattr(import_module(module), function)
+        found: Method = getattr(import_module(module), function)
         return found
 
-    def describe(self) -> dict[str, str]:
-        """The first line of each method's docstring."""
-        return {name: (inspect.getdoc(self.load(name)) or "").split("\n")[0] for name in self}
+    def describe(self) -> dict[str, tuple[str, str]]:
+        """The first line of each method's docstring, and its source ("" where it has none)."""
+        return {name: _described(inspect.getdoc(self.load(name)) or "") for name in self}
 
 
-GLOSS = Registry(
+def _described(text: str) -> tuple[str, str]:
+    source = text.partition("Source:")[2].split("\n\n")[0]
+    return text.split("\n")[0], " ".join(source.split())
+
+
+GLOSS: Registry[Remover] = Registry(
     "gloss remover",
     "--gloss",
     {
@@ -145,7 +152,7 @@ GLOSS = Registry(
         "true-matte": "recon.gloss.identity:true_matte",
     },
 )
-REPAIR = Registry(
+REPAIR: Registry[Repair] = Registry(
     "repair",
     "--inpaint",
     {
@@ -155,7 +162,7 @@ REPAIR = Registry(
         "drop": "recon.repair:drop",
     },
 )
-NORMALS = Registry(
+NORMALS: Registry[Solver] = Registry(
     "photometric-stereo solver",
     "--normals",
     {
@@ -163,4 +170,4 @@ NORMALS = Registry(
         "three-light": "recon.normals.three_light:three_light",
     },
 )
-HEIGHT = Registry("integrator", "--height", {"quadratic": "recon.height.quadratic:quadratic"})
+HEIGHT: Registry[Integrator] = Registry("integrator", "--height", {"quadratic": "recon.height.quadratic:quadratic"})

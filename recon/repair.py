@@ -69,7 +69,7 @@ def drop(images: Floats, defects: Bools, capture: Capture) -> Repaired:
 
 def _inpaint(images: Floats, defects: Bools, capture: Capture, method: int) -> Repaired:
     _check(images, defects, capture)
-    missing = (capture.flags & Fault.MISSING) != 0
+    missing = (capture.faults & Fault.MISSING) != 0
     result = images.copy()
     for k in range(capture.count):
         hole = defects[k] & capture.mask & ~missing[k]
@@ -119,11 +119,11 @@ def _box(hole: Bools, known: Bools) -> tuple[slice, slice]:
 
 
 def _weights(capture: Capture) -> Floats:
-    return ((capture.flags & Fault.MISSING) == 0).astype(np.float32)
+    return ((capture.faults & Fault.MISSING) == 0).astype(np.float32)
 
 
 def _check(images: NDArray[np.float32], defects: Bools, capture: Capture) -> None:
-    if images.shape != capture.images.shape or defects.shape != capture.flags.shape:
+    if images.shape != capture.images.shape or defects.shape != capture.faults.shape:
         raise InputError(
             f"{capture.source}: repair got pictures {images.shape} and defects {defects.shape} for a capture of {capture.images.shape}"
         )

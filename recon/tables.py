@@ -8,9 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from recon.page import Column
-
 Metrics = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table. format: Python's format of its numbers, such as ".2f". unit: shown under the title."""
+
+    title: str
+    format: str = ".2f"
+    unit: str = ""
 
 
 def text_report(metrics: Metrics) -> str:
@@ -24,11 +31,12 @@ def text_report(metrics: Metrics) -> str:
         f"normals {s['normals']} on the {metrics['consumed']}, height {s['height']}",
         f"height range {length_text(h['high'] - h['low'], h['unit'])}",
     ]
+    lines += metrics["notes"]
     rows = metrics.get("comparison") or (
         {"this": {"label": "this measurement", **metrics["truth"]}} if "truth" in metrics else {}
     )
     for title, wanted in (
-        ("error against the truth", truth_columns(rows)),
+        ("error against the truth", TRUTH_COLUMNS),
         ("deviation from the non-glossy result", PAPER_COLUMNS),
     ):
         columns, cells = figure_table(rows, wanted)
@@ -50,20 +58,16 @@ class Wanted:
     factor: float = 1.0
 
 
-def truth_columns(rows: Mapping[str, Metrics]) -> list[Wanted]:
-    """The figures against the true geometry. rows: as `Comparison.figures` gives them."""
-    unit = next((row["height"]["unit"] for row in rows.values() if "height" in row), "px")
-    factor, shown = unit_of(unit)
-    return [
-        Wanted(Column("normals", ".2f", "deg"), ("normals", "mask", "mean")),
-        Wanted(Column("median", ".2f", "deg"), ("normals", "mask", "median")),
-        Wanted(Column("eroded 2 px", ".2f", "deg"), ("normals", "eroded", "mean")),
-        Wanted(Column("lit by all", ".2f", "deg"), ("normals", "lit by all", "mean")),
-        Wanted(Column("gap closed", ".2f"), ("gap closed",)),
-        Wanted(Column("height", ".3f", shown), ("height", "rmse"), factor),
-        Wanted(Column("of range", ".2f", "%"), ("height", "percent")),
-    ]
-
+TRUTH_COLUMNS = [
+    Wanted(Column("normals", ".2f", "deg"), ("normals", "mask", "mean")),
+    Wanted(Column("median", ".2f", "deg"), ("normals", "mask", "median")),
+    Wanted(Column("eroded 2 px", ".2f", "deg"), ("normals", "eroded", "mean")),
+    Wanted(Column("lit by all", ".2f", "deg"), ("normals", "lit by all", "mean")),
+    Wanted(Column("gap closed", ".2f"), ("gap closed",)),
+    Wanted(Column("height", ".3f", "mm"), ("height", "rmse"), 1e3),
+    Wanted(Column("of range", ".2f", "%"), ("height", "percent")),
+]
+"""The figures against the true geometry."""
 
 PAPER_COLUMNS = [
     Wanted(Column("normals", ".2f", "deg"), ("non-glossy", "mean angle")),

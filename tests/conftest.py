@@ -72,7 +72,7 @@ def synthetic_capture(
     d, s, m = (np.concatenate([p[i] * np.ones(3) for p in parts]).astype(np.float32) * mask[None, :, :, None] for i in range(3))
     truth = Truth(
         normals=n.astype(np.float32),
-        depth=np.where(mask, 1000 - radius * n[..., 2], np.nan).astype(np.float32),
+        depth=np.where(mask, 1 - 0.001 * radius * n[..., 2], np.nan).astype(np.float32),
         albedo=(rd * mask[..., None]).astype(np.float32),
         gloss=(alpha * mask).astype(np.float32),
         diffuse=d,

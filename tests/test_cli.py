@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -100,6 +102,9 @@ def test_three_lights_by_the_papers_inverse(folder: Path, tmp_path: Path) -> Non
         (["--normals", "three-light"], "exactly three"),
         (["--threshold", "much"], "--threshold much"),
         (["--threshold", "-2"], "--threshold -2"),
+        (["--dilate", "1.5"], "--dilate 1.5"),
+        (["--dilate", "99999"], "--dilate 99999"),
+        (["--lights", "1_0,2,3"], "numbers from 1"),
         (["--lights", "1,2,9"], "picture 9"),
         (["--lights", "1,1,2"], "twice"),
         (["--lights", "0,1,2"], "numbered from 1"),
@@ -137,15 +142,76 @@ def test_output_that_cannot_be_written(folder: Path, tmp_path: Path) -> None:
         refused(degloss("recon", "run", folder, "-o", place), str(place))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("mine")
-    refused(degloss("recon", "run", folder, "-o", tmp_path / "full"), "not an earlier result")
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "full"), "not an earlier measurement")
     assert (tmp_path / "full" / "thesis.txt").read_text() == "mine"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "full"]
+
+
+def test_output_never_overwrites_its_input(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "set" / "capture")
+    for place in ("set/capture", "set", "set/capture/../../set"):
+        refused(degloss("recon", "run", tmp_path / "set" / "capture", "-o", tmp_path / place), "is or holds the capture")
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "set" / "capture"), "not an earlier measurement")
+    assert (tmp_path / "set" / "capture" / "capture.json").is_file()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_read_only_folder(folder: Path, tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "cannot be written")
+
+
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.6, 1.2])
+def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_path: Path, after: float) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        command = [sys.executable, "-m", "degloss", "recon", "run", str(folder), "-o", str(tmp_path / "out")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as run:
+            time.sleep(after)
+            run.send_signal(number)
+            start = time.monotonic()
+            _, errors = run.communicate(timeout=20)
+        assert time.monotonic() - start < 3
+        assert run.returncode in (0, 130, -number), errors  # it may have been done, or not yet have begun
+        if run.returncode == 130:
+            assert errors.splitlines() == ["degloss: stopped; nothing was left half-written, run the same command again"]
+        assert {p.name for p in tmp_path.iterdir()} <= {"out"}
+        assert not (tmp_path / "out").exists() or (tmp_path / "out" / "report.html").is_file()
+
+
+def test_what_a_killed_run_left_is_swept_by_the_next(folder: Path, tmp_path: Path) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    (tmp_path / f".out.{dead.pid}.abc.tmp").mkdir()
+    (tmp_path / f".out.{os.getpid()}.abc.tmp").mkdir()  # of a run that is alive
+    (tmp_path / ".out.notes").mkdir()
+    assert degloss("recon", "run", folder, "-o", tmp_path / "out").returncode == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f".out.{os.getpid()}.abc.tmp", ".out.notes", "out"]
+
+
+def test_files_of_others_in_a_result_are_never_lost(folder: Path, tmp_path: Path) -> None:
+    assert degloss("recon", "run", folder, "-o", tmp_path / "out").returncode == 0
+    (tmp_path / "out" / "my notes.txt").write_text("mine")
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "holds other files too")
+    assert (tmp_path / "out" / "my notes.txt").read_text() == "mine"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_full_disk_on_stdout_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [sys.executable, "-m", "degloss", "recon", "methods"], stdout=full, stderr=subprocess.PIPE, text=True, cwd=ROOT
+        )
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "setting", [{"COLUMNS": "0"}, {"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0"}, {"HOME": "/nowhere"}]
+)
+def test_odd_environments(setting: dict[str, str], folder: Path, tmp_path: Path) -> None:
+    assert degloss("--help", env={**os.environ, **setting}).returncode == 0
+    run = degloss("recon", "run", folder, "-o", tmp_path / "ünï e", env={**os.environ, **setting})
+    assert run.returncode == 0, run.stderr
 
 
 def test_methods(tmp_path: Path) -> None:

@@ -91,6 +91,15 @@ def test_importing_is_cheap(package: str) -> None:
     assert run.stdout.split() == []
 
 
+def test_system_libraries_are_named_alike_everywhere() -> None:
+    """The apt line of the doctor, of the studio's own error and of the README."""
+    from gen.parts import SYSTEM_LIBRARIES
+
+    for name in ("blender_scenes/studio.py", "README.md"):
+        text = " ".join((ROOT / name).read_text(encoding="utf-8").replace('"', " ").split())
+        assert SYSTEM_LIBRARIES in text, name
+
+
 def test_no_module_outgrows_its_room() -> None:
     for package in ALLOWED:
         for path in modules(package):

@@ -37,9 +37,9 @@ def detect(path: Path) -> str:
     Raises InputError where there is nothing at `path`, or where it is none of them.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file or folder")
     try:
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file or folder")
         for name, (is_it, _) in READERS.items():
             if _load(is_it)(path):
                 return name
@@ -55,6 +55,7 @@ def read(path: Path, encoding: str | None = None, format: str | None = None) -> 
 
     Raises InputError where the format is unknown or the capture cannot be read.
     """
+    from gen.formats.tables import with_distance
     from gen.images import check_encoding
 
     path = Path(path)
@@ -66,15 +67,10 @@ def read(path: Path, encoding: str | None = None, format: str | None = None) -> 
     name = format or detect(path)
     reader = _load(READERS[name][1])
     try:
-        if name == "render":
-            if encoding == "srgb":
-                raise InputError(f"{path}: is a render folder, which is always linear; leave the encoding out")
-            capture: Capture = reader(path)
-        else:
-            capture = reader(path, encoding)
+        capture: Capture = reader(path, encoding)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return capture
+    return with_distance(capture)
 
 
 def _load(target: str) -> Callable[..., Any]:

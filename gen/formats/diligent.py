@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gen.capture import Capture
 from gen.files import must_exist, read_lines
-from gen.formats.tables import picture_paths, read_directions, read_intensities, read_scale, with_distance
+from gen.formats.tables import picture_paths, read_directions, read_intensities, read_scale
 from gen.formats.truth import read_truth
 from gen.images import read_frames, read_mask
 
@@ -37,18 +37,16 @@ def read_diligent(path: Path, encoding: str | None = None) -> Capture:
     frames = read_frames(paths, encoding)
     size = frames.images.shape[1:3]
     mask = read_mask(path / "mask.png", (size[0], size[1]))
-    return with_distance(
-        Capture(
-            images=frames.images,
-            lights=lights,
-            mask=mask,
-            intensities=intensities,
-            faults=frames.faults,
-            names=tuple(names),
-            scale=read_scale(path, (size[0], size[1])),
-            truth=read_truth(path, mask),
-            encoding=frames.encoding,
-            source=str(path),
-            provenance={"format": "diligent", "encoding": frames.reading, "bits": frames.bits, "mask": "mask.png"},
-        )
+    return Capture(
+        images=frames.images,
+        lights=lights,
+        mask=mask,
+        intensities=intensities,
+        faults=frames.faults,
+        names=tuple(names),
+        scale=read_scale(path, (size[0], size[1])),
+        truth=read_truth(path, mask),
+        encoding=frames.encoding,
+        source=str(path),
+        provenance={"format": "diligent", "encoding": frames.reading, "bits": frames.bits, "mask": "mask.png"},
     )

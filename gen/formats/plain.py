@@ -20,7 +20,6 @@ from gen.formats.tables import (
     read_intensities,
     read_named_directions,
     read_scale,
-    with_distance,
 )
 from gen.formats.truth import read_truth
 from gen.images import read_frames
@@ -53,27 +52,25 @@ def read_plain(path: Path, encoding: str | None = None) -> Capture:
     names, lights = _lights(table, all_names)
     paths = picture_paths(path, names, table)
     strength = next((path / name for name in INTENSITIES if (path / name).exists()), None)
-    intensities = None if strength is None else read_intensities(strength, len(paths))
+    intensities = np.ones((len(paths), 3)) if strength is None else read_intensities(strength, len(paths))
     frames = read_frames(paths, encoding)
     mask, mask_origin = mask_or_frame(path / "mask.png", frames)
     record: dict[str, Any] = {"format": "plain", "encoding": frames.reading, "bits": frames.bits, "mask": mask_origin}
     unused = [name for name in all_names if name not in set(names)]
     if unused:
         record["not_in_the_table"] = unused
-    return with_distance(
-        Capture(
-            images=frames.images,
-            lights=lights,
-            mask=mask,
-            intensities=intensities,
-            faults=frames.faults,
-            names=tuple(names),
-            scale=read_scale(path, (mask.shape[0], mask.shape[1])),
-            truth=read_truth(path, mask),
-            encoding=frames.encoding,
-            source=str(path),
-            provenance=record,
-        )
+    return Capture(
+        images=frames.images,
+        lights=lights,
+        mask=mask,
+        intensities=intensities,
+        faults=frames.faults,
+        names=tuple(names),
+        scale=read_scale(path, (mask.shape[0], mask.shape[1])),
+        truth=read_truth(path, mask),
+        encoding=frames.encoding,
+        source=str(path),
+        provenance=record,
     )
 
 

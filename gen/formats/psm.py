@@ -20,8 +20,6 @@ def is_psm(path: Path) -> bool:
     table = _list(path)
     if table is None:
         return False
-    if path.is_file():
-        return True
     try:
         lines = [line for _, line in read_lines(table, "a list of pictures")]
     except InputError:

@@ -46,7 +46,7 @@ def is_render(folder: Path) -> bool:
 
 def write_render(capture: Capture, folder: Path, coverage: Floats | None = None) -> None:
     """Write any capture as a folder of ours, which takes its place whole or not at all. See `write_files`."""
-    with writing_folder(folder) as temporary:
+    with writing_folder(folder, "capture") as temporary:
         write_files(capture, temporary, coverage)
 
 
@@ -64,7 +64,7 @@ def write_files(capture: Capture, folder: Path, coverage: Floats | None = None) 
         and np.array_equal(capture.images, _sum(truth.diffuse, truth.specular))
     )
     alpha = np.asarray(capture.mask if coverage is None else coverage, np.float32)
-    faulty = bool(capture.flags.any())
+    faulty = bool(capture.faults.any())
     (folder / "frames").mkdir()
     frames = []
     for k in range(K):
@@ -76,11 +76,11 @@ def write_files(capture: Capture, folder: Path, coverage: Floats | None = None) 
         if truth.shadow is not None:
             channels["shadow.V"] = truth.shadow[k]
         if faulty:
-            channels["faults.V"] = capture.flags[k]
+            channels["faults.V"] = capture.faults[k]
         file = f"frames/{k + 1:03d}.exr"
         write_exr(folder / file, channels)
         frames.append(
-            {"name": capture.names[k], "file": file, "direction": capture.lights[k], "intensity": capture.irradiance[k]}
+            {"name": capture.names[k], "file": file, "direction": capture.lights[k], "intensity": capture.intensities[k]}
         )
     view: dict[str, NDArray[Any]] = {}
     for name, (prefix, letters) in VIEW_LAYERS.items():

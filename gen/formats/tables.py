@@ -100,7 +100,7 @@ def read_named_directions(path: Path, what: str) -> tuple[list[str], Numbers]:
     for i, line in lines:
         if line.startswith("#"):
             continue
-        words = line.replace(",", " ").rsplit(maxsplit=3)
+        words = line.split(" #")[0].replace(",", " ").replace(";", " ").rsplit(maxsplit=3)
         try:
             row = [float(word) for word in words[1:]]
         except ValueError:
@@ -186,13 +186,19 @@ def _read_camera(folder: Path, size: tuple[int, int]) -> Numbers | None:
 
 
 def mask_or_frame(path: Path, frames: Frames) -> tuple[Bools, str]:
-    """(mask, its origin in words): the mask picture `path` where it exists, else every pixel with a value in some picture.
+    """(mask, its origin in words): the mask picture where there is one, else every pixel with a value in some picture.
 
-    Raises InputError where the mask is empty, damaged or of another size, or where no pixel has a value.
+    path: the mask's usual name, such as mask.png; other endings and capitals (MASK.PNG, mask.jpg) are found as well. Raises InputError
+    where the mask is empty, damaged or of another size, where there are several, or where no pixel has a value.
     """
     size = frames.faults.shape[1:]
-    if path.exists():
-        return read_mask(path, (size[0], size[1])), path.name
+    found = [
+        p for p in sorted(path.parent.iterdir()) if p.stem.casefold() == path.stem.casefold() and p.suffix.lower() in SUFFIXES
+    ]
+    if len(found) > 1:
+        raise InputError(f"{path.parent}: holds more than one mask ({', '.join(p.name for p in found)}); keep one")
+    if found:
+        return read_mask(found[0], (size[0], size[1])), found[0].name
     seen = ((frames.faults & np.uint8(Fault.MISSING)) == 0).any(axis=0)
     if not seen.any():
         raise InputError(f"{path.parent}: not one pixel of the pictures has a value")

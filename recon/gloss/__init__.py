@@ -10,7 +10,7 @@ from recon.registry import Layers
 
 def workable(capture: Capture) -> Bools:
     """(K, H, W) bool: the samples a remover works on, inside the mask and not missing."""
-    return capture.mask[None] & ((capture.flags & Fault.MISSING) == 0)
+    return capture.mask[None] & ((capture.faults & Fault.MISSING) == 0)
 
 
 def remove(capture: Capture, gloss: Floats, confidence: Floats | None = None) -> Layers:
@@ -24,7 +24,7 @@ def remove(capture: Capture, gloss: Floats, confidence: Floats | None = None) ->
     smallest = capture.reflectance().min(axis=3)
     bounded = np.clip(np.nan_to_num(gloss, nan=0.0, posinf=0.0, neginf=0.0), 0, np.maximum(smallest, 0))
     bounded = np.where(workable(capture), bounded, 0).astype(np.float32)
-    specular = bounded[..., None] * capture.irradiance[:, None, None, :].astype(np.float32)
+    specular = bounded[..., None] * capture.intensities[:, None, None, :].astype(np.float32)
     # The product may round to a little more than the channel it came from.
     np.minimum(specular, np.maximum(capture.images, 0), out=specular)
     return Layers(diffuse=capture.images - specular, specular=specular, confidence=confidence)

@@ -40,17 +40,17 @@ def bilateral(capture: Capture) -> Layers:
 
     Limits: needs some matte pixels of each hue in the same picture; pale and deep tints of one hue are taken for gloss and
     none; where the surface is grey (L near 1/3) it leaves the picture alone, by a smooth hand-over.
-    Confidence: how far the colour could be believed, times 1 less the share of the sample that was taken away; 1 where nothing was taken.
+    It gives no confidence.
     Source: Q. Yang, S. Wang and N. Ahuja, "Real-time specular highlight removal using bilateral filtering" (ECCV 2010); the grid is that of
     J. Chen, S. Paris and F. Durand, "Real-time edge-aware image processing with the bilateral grid" (2007).
     """
     rows, columns = np.flatnonzero(capture.mask.any(axis=1)), np.flatnonzero(capture.mask.any(axis=0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     usable = workable(capture)
-    clipped = (capture.flags & Fault.CLIPPED) != 0
-    gloss = np.zeros(capture.flags.shape, np.float32)
+    clipped = (capture.faults & Fault.CLIPPED) != 0
+    gloss = np.zeros(capture.faults.shape, np.float32)
     for k in range(capture.count):
-        r = np.maximum(capture.images[k][box] / capture.irradiance[k].astype(np.float32), 0)
+        r = np.maximum(capture.images[k][box] / capture.intensities[k].astype(np.float32), 0)
         gloss[k][box] = gloss_of_picture(r, usable[k][box], clipped[k][box])
     return remove(capture, gloss)
 

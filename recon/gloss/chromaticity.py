@@ -43,7 +43,7 @@ def chromaticity(capture: Capture) -> Layers:
     mask = capture.mask
     usable = workable(capture)[:, mask]
     samples = np.maximum(capture.reflectance()[:, mask], 0)
-    by_colour, trust = split_by_colour(samples, usable, (capture.flags & Fault.CLIPPED)[:, mask] != 0)
+    by_colour, trust = split_by_colour(samples, usable, (capture.faults & Fault.CLIPPED)[:, mask] != 0)
     found = by_colour * trust
     grey = np.flatnonzero(trust < 1)
     by_geometry = gloss_from_geometry(samples[:, grey].mean(axis=2), usable[:, grey], capture.lights)
@@ -51,7 +51,7 @@ def chromaticity(capture: Capture) -> Layers:
 
     brightness = samples.mean(axis=2)
     taken = np.minimum(found, samples.min(axis=2)) / np.where(brightness > 0, brightness, 1)
-    gloss = np.zeros(capture.flags.shape, np.float32)
+    gloss = np.zeros(capture.faults.shape, np.float32)
     gloss[:, mask] = found
     confidence = np.zeros_like(gloss)
     confidence[:, mask] = np.where(usable, 1 - (1 - trust) * np.clip(taken, 0, 1), 0)

@@ -45,7 +45,7 @@ def low_rank(capture: Capture) -> Layers:
     """
     mask = capture.mask
     usable = workable(capture)[:, mask]
-    gloss = np.zeros(capture.flags.shape, np.float32)
+    gloss = np.zeros(capture.faults.shape, np.float32)
     confidence = workable(capture).astype(np.float32)
     if capture.count <= 3:
         return remove(capture, gloss, confidence)

@@ -14,8 +14,13 @@ from recon.registry import Height
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
-STEEPEST = 0.01
-"""Smallest cosine toward the viewer that a normal is given: steeper ones, and those that face away, are read as this."""
+STEEPEST = 0.05
+"""Smallest cosine toward the viewer that a normal is given: a pixel cannot show a slope beyond some 20 pixels a pixel, and noisy rims
+would hang down in spikes. Steeper normals, and those that face away, are read as this."""
+
+
+TOLERANCE = 1e-7
+"""Residual, relative to the right-hand side, at which the linear system counts as solved: heights are then right to 1e-8 of their range."""
 
 
 def quadratic(normal: Floats, mask: NDArray[np.bool_], scale: Scale) -> Height:
@@ -43,7 +48,7 @@ def quadratic(normal: Floats, mask: NDArray[np.bool_], scale: Scale) -> Height:
     n = normal[inside].astype(np.float64)
     rays = _rays(rows, columns, scale)
     i, j = (np.concatenate(pair) for pair in zip(_edges(index, 0, 1), _edges(index, 1, 0), strict=True))
-    toward = np.maximum(-(n * rays).sum(axis=1), STEEPEST)
+    toward = np.maximum(-(n * rays).sum(axis=1) / np.linalg.norm(rays, axis=1), STEEPEST)
     mean = n[i] + n[j]
     if scale.camera is None:
         across = mean[:, 0] * (columns[j] - columns[i]) - mean[:, 1] * (rows[j] - rows[i])
@@ -108,11 +113,15 @@ def _conjugate_gradients(A: Any, right: Doubles) -> Doubles:
     if not np.any(right):
         return np.zeros(len(right))
     from scipy import sparse
+    from scipy.sparse.linalg import spsolve
 
     # Heights are known only up to a constant in each part: a grain on the diagonal makes the matrix definite.
     definite = A + sparse.diags_array(np.full(A.shape[0], 1e-10 * A.diagonal().mean()))
-    solver = pyamg.ruge_stuben_solver(definite.tocsr(), max_coarse=500)
-    solution: Doubles = solver.solve(right, tol=1e-9, accel="cg", maxiter=200)
+    definite = definite.tocsr()
+    solver = pyamg.ruge_stuben_solver(definite, max_coarse=100)
+    solution: Doubles = solver.solve(right, tol=TOLERANCE, accel="cg", maxiter=200)
+    if np.linalg.norm(right - definite @ solution) > 100 * TOLERANCE * np.linalg.norm(right):
+        solution = spsolve(definite.tocsc(), right)  # slow and sure
     return solution
 
 

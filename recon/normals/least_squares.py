@@ -6,10 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.capture import grey
-from recon.conditioning import MAX_CONDITION, condition_numbers, normal_matrices
+from recon.conditioning import MAX_CONDITION, condition_numbers, distinct, normal_matrices
 from recon.registry import Normals
 
 Doubles = NDArray[np.float64]
+
+CHUNK = 1 << 18
+"""Pixels that are solved at a time: what a solve needs beside its input stays under 100 MB."""
 
 
 def least_squares(
@@ -36,34 +39,30 @@ def least_squares(
 
 def solve(y: NDArray[np.float32], lights: Doubles, w: NDArray[np.float32]) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
     """The fit itself. y, w: (K, P). Returns b (P, 3), the uncertainty in degrees (P,), and which pixels are measurable (P,)."""
-    count, pixels = y.shape
-    b = np.zeros((pixels, 3))
-    measurable = np.ones(pixels, dtype=bool)
-    inverse = np.zeros((pixels, 3, 3))
-    even = (w == w[:1]).all(axis=0) & (w[0] > 0)
-    if even.any():
-        b[even] = (np.linalg.pinv(lights) @ y[:, even]).T
-        inverse[even] = np.linalg.pinv(lights.T @ lights) / w[0, even, None, None]
-        measurable[even] = condition_numbers(lights, np.ones((count, 1)))[0] <= MAX_CONDITION
-    odd = np.flatnonzero(~even)
-    if odd.size:
-        part = w[:, odd]
-        measurable[odd] = condition_numbers(lights, part) <= MAX_CONDITION
-        good = odd[measurable[odd]]
-        matrices = normal_matrices(lights, w[:, good])
-        inverse[good] = np.linalg.inv(matrices)
-        right = (w[:, good] * y[:, good]).T.astype(np.float64) @ lights
-        b[good] = np.einsum("pij,pj->pi", inverse[good], right)
-    residual = (w * (y - lights.astype(np.float32) @ b.T.astype(np.float32)) ** 2).sum(axis=0)
+    pixels = y.shape[1]
+    b, uncertainty, measurable = np.zeros((pixels, 3)), np.zeros(pixels), np.zeros(pixels, dtype=bool)
+    for start in range(0, pixels, CHUNK):
+        part = slice(start, start + CHUNK)
+        b[part], uncertainty[part], measurable[part] = _solve(y[:, part], lights, w[:, part])
+    return b, uncertainty, measurable
+
+
+def _solve(y: NDArray[np.float32], lights: Doubles, w: NDArray[np.float32]) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
+    patterns, index = distinct(w)
+    usable = condition_numbers(lights, patterns) <= MAX_CONDITION
+    inverses = np.zeros((len(usable), 3, 3))
+    inverses[usable] = np.linalg.inv(normal_matrices(lights, patterns[:, usable]))
+    b = np.einsum("pij,pj->pi", inverses[index], (w * y).T.astype(np.float64) @ lights)
+    residual = (w * (y - (lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
     freedom = (w > 0).sum(axis=0) - 3
     length = np.linalg.norm(b, axis=1)
+    measurable = usable[index] & (length > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         n = b / length[:, None]
-        along = np.einsum("pi,pij,pj->p", n, inverse, n)
-        spread = np.sqrt(residual / freedom * np.maximum(np.trace(inverse, axis1=1, axis2=2) - along, 0)) / length
-    measurable &= length > 0
-    uncertainty = np.where(measurable & (freedom > 0), np.degrees(np.arctan(spread)), np.nan)
-    return b, uncertainty, measurable
+        along = np.einsum("pi,pij,pj->p", n, inverses[index], n, optimize=True)
+        across = np.maximum(np.trace(inverses, axis1=1, axis2=2)[index] - along, 0)
+        spread = np.sqrt(residual / freedom * across) / length
+    return b, np.where(measurable & (freedom > 0), np.degrees(np.arctan(spread)), np.nan), measurable
 
 
 def assemble(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gen.capture import Capture, Fault, Scale, Truth, check_lights, grey, require_spanning_lights
+from gen.capture import Capture, Fault, Scale, Truth, grey
 from gen.errors import InputError
 
 K, H, W = 4, 5, 6
@@ -33,7 +33,7 @@ def test_defaults() -> None:
     assert c.images.dtype == np.float32
     assert (c.count, c.size, c.names) == (K, (H, W), ("001", "002", "003", "004"))
     np.testing.assert_allclose(np.linalg.norm(c.lights, axis=1), 1)
-    np.testing.assert_array_equal(c.irradiance, np.ones((K, 3)))
+    np.testing.assert_array_equal(c.intensities, np.ones((K, 3)))
     assert c.valid.all()
     assert c.scale.unit == "px"
     assert c.truth.names() == ["normals", "matte"]
@@ -45,8 +45,8 @@ def test_values_that_are_not_finite_become_missing() -> None:
     faults = np.zeros((K, H, W), np.uint8)
     faults[1, 2, 3] = Fault.CLIPPED
     c = capture(images=images, faults=faults)
-    assert c.flags[1, 2, 3] == Fault.MISSING | Fault.CLIPPED
-    assert c.flags[2, 0, 0] == Fault.MISSING
+    assert c.faults[1, 2, 3] == Fault.MISSING | Fault.CLIPPED
+    assert c.faults[2, 0, 0] == Fault.MISSING
     assert (~c.valid).sum() == 2
     assert np.isfinite(c.images).all()
     assert faults[2, 0, 0] == 0, "the caller's array is left as it was"
@@ -105,8 +105,8 @@ def test_select_takes_everything_that_belongs_to_a_picture() -> None:
     assert part.names == ("c", "a")
     np.testing.assert_array_equal(part.images, c.images[[2, 0]])
     np.testing.assert_array_equal(part.lights, c.lights[[2, 0]])
-    np.testing.assert_array_equal(part.irradiance[:, 0], [3, 1])
-    np.testing.assert_array_equal(part.flags, c.flags[[2, 0]])
+    np.testing.assert_array_equal(part.intensities[:, 0], [3, 1])
+    np.testing.assert_array_equal(part.faults, c.faults[[2, 0]])
     assert part.truth.matte is not None
     assert c.truth.matte is not None
     np.testing.assert_array_equal(part.truth.matte, c.truth.matte[[2, 0]])
@@ -124,20 +124,8 @@ def test_select_takes_everything_that_belongs_to_a_picture() -> None:
 def test_with_images_keeps_the_faults_unless_told() -> None:
     c = capture(faults=np.full((K, H, W), Fault.DARK, np.uint8))
     assert c.truth.matte is not None
-    np.testing.assert_array_equal(c.with_images(c.truth.matte).flags, c.flags)
+    np.testing.assert_array_equal(c.with_images(c.truth.matte).faults, c.faults)
     assert c.with_images(c.truth.matte, np.zeros((K, H, W), np.uint8)).valid.all()
-
-
-def test_coplanar_and_too_few_lights_are_refused() -> None:
-    require_spanning_lights(check_lights(LIGHTS, K, "x"), "x")
-    require_spanning_lights(check_lights([[0.02, 0, 1], [-0.01, 0.02, 1], [-0.01, -0.02, 1]], 3, "x"), "x")
-    t = np.radians([0, 20, 40, 60, 75])
-    plane = np.stack([np.sin(t) * 0.6, np.sin(t) * 0.8, np.cos(t)], 1)
-    for lights in (plane, plane + np.random.default_rng(0).normal(0, 1e-7, plane.shape), np.tile([[0, 0.6, 0.8]], (5, 1))):
-        with pytest.raises(InputError, match="bolt: the light directions lie in one plane"):
-            require_spanning_lights(lights, "bolt")
-    with pytest.raises(InputError, match="at least three lights, there are 2"):
-        require_spanning_lights(LIGHTS[:2], "bolt")
 
 
 def test_grey_is_the_luma() -> None:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def test_writing_replaces_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [p.name for p in target.parent.iterdir()] == ["a.txt"]
 
 
-@pytest.mark.parametrize("writer", [writing, writing_folder])
+@pytest.mark.parametrize("writer", [writing, partial(writing_folder, kind="capture")])
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, writer: object) -> None:
     (tmp_path / "file").write_text("x")
     with (
@@ -62,13 +63,14 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, writer: obje
 def test_writing_folder_replaces_only_its_own(tmp_path: Path) -> None:
     target = tmp_path / "out"
     for text in ("one", "two"):
-        with writing_folder(target) as folder:
+        with writing_folder(target, "capture") as folder:
             (folder / f"{text}.txt").write_text(text)
         assert sorted(p.name for p in target.iterdir()) == sorted([MARK, f"{text}.txt"])
-    assert replaceable(target)
+    assert replaceable(target, "capture")
+    assert not replaceable(target, "measurement")
 
     def fail() -> None:
-        with writing_folder(target) as folder:
+        with writing_folder(target, "capture") as folder:
             (folder / "half.txt").write_text("half")
             raise RuntimeError("stopped")
 
@@ -79,15 +81,15 @@ def test_writing_folder_replaces_only_its_own(tmp_path: Path) -> None:
 
     mine = tmp_path / "photos"
     mine.mkdir()
-    with writing_folder(mine):  # empty: nothing is lost
+    with writing_folder(mine, "capture"):  # empty: nothing is lost
         pass
     (mine / MARK).unlink()
     (mine / "holiday.jpg").write_text("x")
-    with pytest.raises(InputError, match="not an earlier result"), writing_folder(mine):
+    with pytest.raises(InputError, match="not an earlier capture"), writing_folder(mine, "capture"):
         pass
     assert (mine / "holiday.jpg").is_file()
     (tmp_path / "link").symlink_to(target)
-    with pytest.raises(InputError, match="not an earlier result"), writing_folder(tmp_path / "link"):
+    with pytest.raises(InputError, match="not an earlier capture"), writing_folder(tmp_path / "link", "capture"):
         pass
 
 

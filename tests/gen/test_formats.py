@@ -45,7 +45,7 @@ def write_folder(kind: str, folder: Path, scene: Capture) -> Path:
     if kind == "diligent":
         (folder / "filenames.txt").write_text("\n".join(names) + "\n")
         table(folder / "light_directions.txt", scene.lights)
-        table(folder / "light_intensities.txt", scene.irradiance)
+        table(folder / "light_intensities.txt", scene.intensities)
         write_png(folder / "Normal_gt.png", normals)
     elif kind == "rti":
         lines = [f"{folder.name}/{name} {x:.9f} {y:.9f} {z:.9f}" for name, (x, y, z) in zip(names, scene.lights, strict=True)]
@@ -86,7 +86,7 @@ def test_every_format_gives_back_the_scene(tmp_path: Path, synthetic: Synthetic,
     assert found.source == str(path)
     assert found.encoding == "linear"
     np.testing.assert_array_equal(read(path, format=kind).images, found.images)
-    dark = (found.flags & Fault.DARK) > 0
+    dark = (found.faults & Fault.DARK) > 0
     assert not dark[found.images.max(axis=3) > 0].any()
 
 
@@ -111,7 +111,7 @@ def test_what_is_not_known_is_said_in_one_line(tmp_path: Path) -> None:
 def test_a_render_folder_is_always_linear(tmp_path: Path, synthetic: Synthetic) -> None:
     path = write_folder("render", tmp_path / "r", synthetic(size=12, specular=np.full(3, 0.05)))
     assert read_capture(path, "linear").encoding == "linear"
-    with pytest.raises(InputError, match="always linear"):
+    with pytest.raises(InputError, match="which is linear"):
         read_capture(path, "srgb")
 
 
@@ -185,9 +185,9 @@ def test_intensities(plain: Path, name: str) -> None:
     strength = 1 + np.arange(36).reshape(12, 3) / 7
     for rows in (strength, strength.T):
         table(plain / name, rows)
-        np.testing.assert_allclose(read_capture(plain).irradiance, strength, rtol=1e-8)
+        np.testing.assert_allclose(read_capture(plain).intensities, strength, rtol=1e-8)
     table(plain / name, strength[:, :1])
-    np.testing.assert_allclose(read_capture(plain).irradiance, np.repeat(strength[:, :1], 3, 1), rtol=1e-8)
+    np.testing.assert_allclose(read_capture(plain).intensities, np.repeat(strength[:, :1], 3, 1), rtol=1e-8)
 
 
 def test_scale_files(plain: Path) -> None:
@@ -224,9 +224,9 @@ def test_exr_pictures_and_their_holes(plain: Path) -> None:
     capture = read_capture(plain)
     assert capture.encoding == "linear"
     assert capture.images.max() == 12
-    assert (capture.flags[:, 1, 2] == Fault.MISSING).all()
+    assert (capture.faults[:, 1, 2] == Fault.MISSING).all()
     assert not capture.mask[1, 2]
-    assert capture.flags[:, 0, 0].tolist() == [Fault.MISSING] + [Fault.DARK] * 11
+    assert capture.faults[:, 0, 0].tolist() == [Fault.MISSING] + [Fault.DARK] * 11
     assert capture.mask.sum() == 23
 
 

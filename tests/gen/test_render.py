@@ -67,8 +67,8 @@ def test_the_layers_are_the_reference_brdf(farm: Farm) -> None:
         expected = shade(n, capture.lights[k], np.array([0.0, 0.0, 1.0]), rd, rs, SMALL["material"]["alpha"])
         for name, layer in zip(("diffuse", "specular", "matte"), expected, strict=True):
             found = getattr(truth, name)[k][mask]
-            assert found == pytest.approx(layer * capture.irradiance[k], abs=2e-5 * max(1.0, float(layer.max()))), (name, k)
-    assert capture.irradiance == pytest.approx(0.7 * np.array([[1, 1, 1], [1, 2, 0.5], [1, 1, 1]]))
+            assert found == pytest.approx(layer * capture.intensities[k], abs=2e-5 * max(1.0, float(layer.max()))), (name, k)
+    assert capture.intensities == pytest.approx(0.7 * np.array([[1, 1, 1], [1, 2, 0.5], [1, 1, 1]]))
 
 
 @pytest.mark.render
@@ -161,7 +161,7 @@ def test_a_light_from_behind_leaves_the_object_black(farm: Farm) -> None:
 @pytest.mark.render
 def test_a_folder_of_someone_else_is_not_replaced(farm: Farm, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="is not an earlier result"):
+    with pytest.raises(InputError, match="is not an earlier capture"):
         render_capture(spec_with(), tmp_path, farm=farm)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -175,7 +175,9 @@ def test_the_papers_cylinder(farm: Farm) -> None:
     assert mean_angle(capture, capture.truth.matte) == pytest.approx(1.25, abs=0.1)
     assert mean_angle(capture, capture.truth.diffuse) == pytest.approx(4.5, abs=0.1)
     assert mean_angle(capture, capture.images) == pytest.approx(15.1, abs=0.4)
-    assert not capture.flags.any()
+    assert not (capture.faults & Fault.CLIPPED).any()
+    dark = (capture.faults & Fault.DARK) > 0
+    assert (dark == (capture.images == 0).all(axis=3)).all()
 
 
 # Exposure and clipping need no renderer: `assemble` takes a worker's arrays.
@@ -215,7 +217,7 @@ def test_nothing_is_clipped_unless_asked_for() -> None:
     assert loud.valid.all()
     cut = assemble(spec_with(exposure=5.0, clip=True), shots(), {}).capture
     assert cut.images.max() == 1
-    assert np.array_equal(cut.flags == Fault.CLIPPED, (loud.images >= 1).any(axis=3))
+    assert np.array_equal(cut.faults == Fault.CLIPPED, (loud.images >= 1).any(axis=3))
     assert np.array_equal(cut.truth.specular, loud.truth.specular)  # type: ignore[arg-type]
 
 

@@ -55,7 +55,7 @@ def test_layers_add_up_to_the_input(synthetic, name: str, colour: str, count: in
     before = capture.images.copy()
     layers = GLOSS.load(name)(capture)
     np.testing.assert_array_equal(capture.images, before)
-    missing = (capture.flags & Fault.MISSING) != 0
+    missing = (capture.faults & Fault.MISSING) != 0
     for part in (layers.diffuse, layers.specular):
         assert part.dtype == np.float32
         assert part.shape == capture.images.shape
@@ -65,7 +65,7 @@ def test_layers_add_up_to_the_input(synthetic, name: str, colour: str, count: in
     assert not layers.specular[:, ~capture.mask].any()
     assert not layers.specular[missing].any()
     if layers.confidence is not None:
-        assert layers.confidence.shape == capture.flags.shape
+        assert layers.confidence.shape == capture.faults.shape
         assert layers.confidence.min() >= 0
         assert layers.confidence.max() <= 1
         assert not layers.confidence[missing].any()
@@ -94,7 +94,7 @@ def test_order_of_lights_does_not_matter(synthetic, name: str, colour: str) -> N
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_exposure_scales_through(synthetic, name: str) -> None:
     capture = synthetic(size=40, lights=dome(6), specular=0.3, alpha=0.15)
-    brighter = replace(capture, images=capture.images * 8, intensities=capture.irradiance * 4)
+    brighter = replace(capture, images=capture.images * 8, intensities=capture.intensities * 4)
     one, other = GLOSS.load(name)(capture), GLOSS.load(name)(brighter)
     np.testing.assert_allclose(other.diffuse, one.diffuse * 8, rtol=1e-3, atol=2e-3)
 

@@ -63,7 +63,7 @@ def test_files_read_back(tmp_path: Path, ending: str) -> None:
     albedo = np.full_like(points, 0.2)
     albedo[..., 0] = 0.8
     mesh = surface_mesh(points, normal, albedo)
-    write_mesh(mesh, tmp_path / f"mesh.{ending}")
+    write_mesh(mesh, tmp_path / f"mesh.{ending}", "m")
     back = trimesh.load(tmp_path / f"mesh.{ending}", force="mesh", process=False)
     assert np.allclose(back.vertices, mesh.vertices, atol=1e-7)
     assert len(back.faces) == len(mesh.faces)
@@ -71,3 +71,5 @@ def test_files_read_back(tmp_path: Path, ending: str) -> None:
     red = back.visual.vertex_colors[:, 0].astype(int)
     assert (red == 255).all()
     assert [p.name for p in tmp_path.iterdir()] == [f"mesh.{ending}"]
+    data = (tmp_path / f"mesh.{ending}").read_bytes()
+    assert (b"comment unit m\n" if ending == "ply" else b'"unit":"m"') in data

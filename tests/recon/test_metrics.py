@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from skimage.metrics import mean_squared_error
 
+from gen.capture import Capture, Truth
 from gen.errors import InputError
 from recon.metrics import (
     angle_summary,
@@ -56,12 +59,17 @@ def test_erosion_takes_two_pixels_off_but_not_at_the_frame() -> None:
     assert (eroded(mask, 2) == expected).all()
 
 
-def test_region_lit_by_all() -> None:
-    normals = np.zeros((1, 2, 3), np.float32)
-    normals[0, 0] = [0, 0, 1]
+def test_region_lit_by_all_knows_attached_and_cast_shadows() -> None:
+    normals = np.zeros((1, 3, 3), np.float32)
+    normals[0, 0] = normals[0, 2] = [0, 0, 1]
     normals[0, 1] = [0.8, 0, 0.6]
     lights = np.array([[0, 0, 1], [-0.8, 0, 0.6], [0.6, 0, 0.8]])
-    assert regions(np.ones((1, 2), bool), normals, lights)["lit by all"].tolist() == [[True, False]]
+    images = np.ones((3, 1, 3, 3), np.float32)
+    capture = Capture(images, lights, np.ones((1, 3), bool), truth=Truth(normals=normals))
+    assert regions(capture, normals)["lit by all"].tolist() == [[True, False, True]]
+    cast = images.copy()
+    cast[0, 0, 2] = 0
+    assert regions(replace(capture, truth=Truth(matte=cast)), normals)["lit by all"].tolist() == [[True, False, False]]
 
 
 def test_height_error_forgives_a_shift_and_only_where_asked_a_scale() -> None:
@@ -84,7 +92,7 @@ def test_mse_is_scikit_images() -> None:
 
 
 def test_eight_bit_forms() -> None:
-    assert normal_bytes(np.array([-1.0, 0.0, 1.0], np.float32)).tolist() == [0, 127, 255]
+    assert normal_bytes(np.array([-1.0, 0.0, 1.0], np.float32)).tolist() == [0, 128, 255]
     assert height_bytes(np.array([[0.0, 1.0, 0.5, 7.0, np.nan]], np.float32), 0, 1).tolist() == [[0, 255, 128, 255, 0]]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gen.capture import Capture, require_spanning_lights
+from gen.capture import Capture
 from gen.errors import InputError
-from recon.conditioning import MAX_CONDITION, condition_numbers, leave_out
+from recon.conditioning import MAX_CONDITION, condition_numbers, leave_out, lowered, require_spanning_lights
 from recon.metrics import angular_error
 from recon.registry import NORMALS
 
@@ -157,11 +157,34 @@ def test_leave_out_stops_where_the_lights_no_longer_suffice() -> None:
     assert condition_numbers(lights, reduced).max() < MAX_CONDITION
 
 
-def test_lights_that_cannot_serve_are_refused(synthetic: Synthetic) -> None:
-    flat = np.array([[0.5, 0, 0.8], [-0.5, 0, 0.8], [0, 0, 1.0]])
-    with pytest.raises(InputError, match="one plane"):
-        require_spanning_lights(flat, "here")
-    with pytest.raises(InputError, match="at least three"):
-        require_spanning_lights(flat[:2], "here")
+def test_confidence_never_takes_a_pixels_lights_away() -> None:
+    lights = np.array([[0.5, 0, 0.87], [-0.25, 0.43, 0.87], [-0.25, -0.43, 0.87], [0, 0, 1.0]])
+    weights = np.ones((4, 2), np.float32)
+    wanted = np.array([[1, 0.5], [1, 0.5], [0, 1], [0, 0.2]], np.float32)
+    assert lowered(weights, wanted, lights)[:, 0].tolist() == [1, 1, 1, 1]
+    assert lowered(weights, wanted, lights)[:, 1].tolist() == wanted[:, 1].tolist()
+
+
+def cone(degrees: float) -> NDArray[np.float64]:
+    """A frontal light and four around it, tilted by so much."""
+    t = np.radians(degrees)
+    ring = [[np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)] for a in np.radians([0, 90, 180, 270])]
+    return np.array([[0, 0, 1], *ring])
+
+
+def test_one_limit_decides_whether_lights_can_serve(synthetic: Synthetic) -> None:
+    """What is accepted is measured, and what is not is refused with the reason."""
+    require_spanning_lights(cone(5), "here")
+    capture = synthetic("sphere", 24, cone(5), layer="matte")
+    assert solve("least-squares", capture).measurable[capture.mask].all()
+    with pytest.raises(InputError, match=r"here: the lights are too much alike \(condition number 39, at most 30\); spread them"):
+        require_spanning_lights(cone(2.3), "here")
+    t = np.radians([0, 20, 40, 60, 75])
+    plane = np.stack([np.sin(t) * 0.6, np.sin(t) * 0.8, np.cos(t)], 1)
+    for lights in (plane, plane + np.random.default_rng(0).normal(0, 1e-7, plane.shape), np.tile([[0, 0.6, 0.8]], (5, 1))):
+        with pytest.raises(InputError, match="bolt: the light directions lie in one plane"):
+            require_spanning_lights(lights, "bolt")
+    with pytest.raises(InputError, match="at least three lights, there are 2"):
+        require_spanning_lights(plane[:2], "bolt")
     with pytest.raises(InputError, match="exactly three"):
         solve("three-light", synthetic("sphere", 16))

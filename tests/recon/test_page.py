@@ -439,7 +439,7 @@ def test_a_table_is_copied_as_csv(opened: Any) -> None:
     table = Table("t", ["name", Column("error", ".1f", "°")], [['a, "b"', 1.25], ["c", None]])
     tab = opened(Page("p", sections=[Section("s", parts=[table])]), wait=False, permissions=["clipboard-read", "clipboard-write"])
     tab.locator(".csv").click()
-    tab.wait_for_function("document.querySelector('.csv').textContent === 'Copied'")
+    tab.locator(".csv", has_text="Copied").wait_for()
     assert tab.evaluate("navigator.clipboard.readText()") == 'name,error (°)\r\n"a, ""b""",1.25\r\nc,\r\n'
 
 

@@ -203,10 +203,3 @@ def test_fit_scales_down_by_area_and_never_up() -> None:
     assert small.shape == (50, 100, 3)
     assert (small == 100).all()
     assert p.fit(picture, 500) is picture
-
-
-def test_colour_bar_shows_its_colours() -> None:
-    bar = p.colour_bar(0, 10, "mm", "error", width=272)
-    assert bar.shape == (44, 272, 3)
-    np.testing.assert_array_equal(bar[14, 8:-8], p.colour_strip("error", 256)[0])
-    assert (bar[24:] != p.OUTSIDE).any()

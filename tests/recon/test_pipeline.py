@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from gen.capture import Capture, Fault, read_capture
 from gen.errors import InputError
 from gen.exr import read_exr, stack
 from recon.compare import LABELS, compare
-from recon.metrics import angular_error
+from recon.metrics import angular_error, eroded
 from recon.pipeline import Settings, measure
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Registry
 
@@ -23,7 +24,7 @@ Synthetic = Callable[..., Capture]
 
 @pytest.mark.parametrize("registry", [GLOSS, REPAIR, NORMALS, HEIGHT], ids=lambda r: r.kind)
 def test_every_name_loads_and_says_what_it_is(registry: Registry) -> None:
-    for name, line in registry.describe().items():
+    for name, (line, _) in registry.describe().items():
         assert len(line) > 10, name
     for name in registry:
         if name not in ("none", "drop", "true-diffuse", "true-matte"):
@@ -66,7 +67,7 @@ def test_comparison_has_the_papers_rows_and_the_ceilings(synthetic: Synthetic) -
     assert figures["glossy"]["non-glossy"]["height MSE"] > figures["true diffuse"]["non-glossy"]["height MSE"] > 0
     # The figure by its definition, from scratch.
     a, b = (comparison.rows[name].normals.normal for name in ("glossy", "true matte"))
-    pictures = [np.floor((n + 1) * 127.5)[capture.mask] for n in (a, b)]
+    pictures = [np.rint((n + 1) * 127.5)[capture.mask] for n in (a, b)]
     assert figures["glossy"]["non-glossy"]["normal MSE"] == pytest.approx(((pictures[0] - pictures[1]) ** 2).mean())
 
 
@@ -124,6 +125,60 @@ def test_missing_samples_never_count(synthetic: Synthetic) -> None:
     assert np.nanmax(angular_error(shape.normals.normal, capture.truth.normals)[lit]) < 0.01
 
 
+@pytest.mark.parametrize("repair", [*REPAIR])
+def test_clipped_samples_are_left_out_whatever_the_repair(repair: str, synthetic: Synthetic) -> None:
+    capture = synthetic("sphere", 48, layer="matte")
+    faults = np.zeros(capture.faults.shape, np.uint8)
+    faults[1, 20:24] = Fault.CLIPPED
+    clipped = replace(capture, faults=faults)
+    there = (faults > 0) & capture.mask
+    dropped = measure(clipped, "none", repair)
+    assert (dropped.weights[there] == 0).all()
+    kept = measure(clipped, "none", repair, saturated="keep")
+    assert (kept.weights[there] == 1).all()
+    assert not kept.defects.mask.any()
+    assert (kept.images == capture.images).all()
+
+
+def test_shadows_can_be_left_out(synthetic: Synthetic) -> None:
+    """Where a light does not reach, least squares errs; without those samples it is exact wherever three lights remain."""
+    capture = synthetic("sphere", 64, layer="matte")
+    facing = (capture.truth.normals @ capture.lights.T > 0).sum(-1)
+    shadowed = capture.mask & (facing < 5)
+    error = {
+        shadows: angular_error(measure(capture, "none", "none", shadows=shadows).normals.normal, capture.truth.normals)
+        for shadows in ("keep", "drop")
+    }
+    assert error["keep"][shadowed].mean() > 2
+    assert np.median(error["drop"][shadowed]) < 0.1
+
+
+def test_leaving_pixels_out_closes_no_gap(synthetic: Synthetic) -> None:
+    """Rows are judged on the pixels that all of them measured."""
+    capture = synthetic("cylinder", 48, alpha=0.2, specular=0.4)
+    comparison = compare(measure(capture))
+    glossy = comparison.rows["glossy"]
+    easy = angular_error(glossy.normals.normal, capture.truth.normals) < 5
+    picky = replace(glossy, normals=replace(glossy.normals, measurable=easy, normal=glossy.normals.normal * easy[..., None]))
+    rows = {name: picky if name in ("removed", "repaired") else shape for name, shape in comparison.rows.items()}
+    figures = replace(comparison, rows=rows).figures()
+    assert figures["removed"]["measured"] < 90
+    assert figures["removed"].get("gap closed") in (None, 0)
+
+
+def test_height_without_a_scale_is_judged_in_metres(synthetic: Synthetic) -> None:
+    """Pixels have no length of their own: the true heights set the scale, and the error is theirs."""
+    capture = synthetic("sphere", 64, layer="matte")
+    figures = measure(capture, "none", "none").metrics()
+    assert figures["height"]["unit"] == "px"
+    true = -capture.truth.depth[capture.mask]
+    assert 0 < figures["truth"]["height"]["rmse"] < np.ptp(true)
+    assert figures["truth"]["height"]["percent"] == pytest.approx(
+        100 * figures["truth"]["height"]["rmse"] / np.ptp(true), rel=1e-4
+    )
+    assert figures["truth"]["height"]["scale"] == pytest.approx(0.001, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -160,3 +215,23 @@ def test_diligent_baseline(data_folder: Path, name: str, published: float) -> No
     metrics = measure(capture, "none", "none", "least-squares").metrics()
     assert metrics["lights"] == 96
     assert metrics["truth"]["normals"]["mask"]["mean"] == pytest.approx(published, abs=0.02)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["uw_psm/cat.txt", "synthrti_tile/Dome"])
+def test_real_pictures_run_through_to_mesh_and_report(data_folder: Path, tmp_path: Path, name: str) -> None:
+    """The cat bulges toward the camera; the tile, where few lights are used to save time, has the true relief's orientation."""
+    capture = read_capture(data_folder / name)
+    capture = capture.select(range(0, capture.count, 4 if capture.count > 20 else 1))
+    shape = measure(capture)
+    metrics = shape.write(tmp_path / "out")
+    assert ("truth" in metrics) == (name != "uw_psm/cat.txt")
+    mesh = trimesh.load(tmp_path / "out" / "mesh.ply", force="mesh")
+    assert len(mesh.faces) > 1.9 * metrics["pixels"] * 0.95
+    assert (tmp_path / "out" / "report.html").stat().st_size < 12_000_000
+    height, mask = shape.height.height, capture.mask
+    if name == "uw_psm/cat.txt":
+        inner = eroded(mask, 20)
+        assert height[inner].mean() > np.nanmean(height[mask & ~eroded(mask, 3)])
+    else:
+        assert metrics["truth"]["normals"]["mask"]["mean"] < 25

@@ -39,7 +39,7 @@ def hole(shape: tuple[int, int], frame: int = 1) -> np.ndarray:
 @pytest.mark.parametrize("name", REPAIR)
 def test_every_repair_keeps_good_samples_bit_for_bit(synthetic, name: str) -> None:
     capture = synthetic(size=48)
-    faults = np.zeros(capture.flags.shape, np.uint8)
+    faults = np.zeros(capture.faults.shape, np.uint8)
     faults[2, 20:24, 20:24] = Fault.MISSING
     capture = replace(capture, faults=faults)
     defects = np.random.default_rng(0).random(faults.shape) < 0.05
@@ -59,7 +59,7 @@ def test_every_repair_keeps_good_samples_bit_for_bit(synthetic, name: str) -> No
 @pytest.mark.parametrize("name", REPAIR)
 def test_without_defects_nothing_changes(synthetic, name: str) -> None:
     capture = synthetic(size=32)
-    done = REPAIR.load(name)(capture.images, np.zeros(capture.flags.shape, bool), capture)
+    done = REPAIR.load(name)(capture.images, np.zeros(capture.faults.shape, bool), capture)
     np.testing.assert_array_equal(done.images, capture.images)
     assert done.weights.all()
 
