@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gen.errors import InputError
-from recon.pipeline import Settings
+from recon.reconstruct import Settings
 
 
 def settings_from(

@@ -20,7 +20,7 @@ from recon.metrics import (
     normal_bytes,
     regions,
 )
-from recon.pipeline import Progress, Settings, Shape, reconstruct
+from recon.reconstruct import Progress, Settings, Shape, reconstruct
 from recon.registry import GLOSS
 from recon.suitability import clipped_share, doubts
 

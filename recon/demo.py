@@ -11,8 +11,9 @@ from gen.capture import read_capture
 from gen.files import dumps, writing_folder
 from recon.compare import planned_rows
 from recon.output import write_into
-from recon.pipeline import Settings, measure
+from recon.pipeline import measure
 from recon.progress import steps
+from recon.reconstruct import Settings
 from recon.tables import text_report
 
 PRESET = "paper-cylinder"

@@ -15,8 +15,9 @@ from gen.images import write_png
 from gen.parts import PARTS
 from recon.compare import Comparison, compare, shape_metrics
 from recon.mesh import write_mesh
+from recon.overview import overview
 from recon.pictures import normal_picture, tone, white_of
-from recon.pipeline import Progress, Shape
+from recon.reconstruct import Progress, Shape
 
 Floats = NDArray[np.float32]
 
@@ -25,7 +26,7 @@ def write_shape(shape: Shape, folder: Path, progress: Progress | None = None) ->
     """Write everything that a shape holds into `folder` (made whole under a temporary name, then renamed). Returns the metrics.
 
     normal.exr (X Y Z and the uncertainty in degrees), normal.png; height.exr (Z, and the points), height.png (16-bit, its range
-    in metrics.json); albedo.exr; diffuse/, specular/, matte/ (EXR and a PNG to look at, numbered like the capture's frames);
+    in metrics.json); albedo.exr; overview.png; diffuse/, specular/, matte/ (EXR and a PNG to look at, numbered like the capture's frames);
     defects/; mesh.ply, mesh.glb; metrics.json; report.html (left out, with a line on stderr, where its package is missing).
     Raises InputError where the folder cannot be written.
     """
@@ -43,6 +44,7 @@ def write_into(shape: Shape, folder: Path, progress: Progress | None = None) -> 
     mesh = shape.mesh()
     for name in ("mesh.ply", "mesh.glb"):
         write_mesh(mesh, folder / name, shape.height.unit)
+    write_png(folder / "overview.png", overview(comparison))
     metrics = shape_metrics(shape, comparison)
     metrics["mesh"] = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces), "unit": shape.height.unit}
     metrics["report"] = _write_report(shape, comparison, metrics, folder)

@@ -12,7 +12,7 @@ import numpy as np
 from gen.errors import InputError
 
 if TYPE_CHECKING:
-    from recon.page import Plot
+    from recon.page_parts import Plot
 
 WIDTH, HEIGHT = 760.0, 300.0
 LEFT, RIGHT, TOP, BOTTOM = 64.0, 14.0, 12.0, 48.0

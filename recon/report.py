@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recon.compare import Comparison, free_scale, true_height
 from recon.metrics import angular_error, fitted_height, height_bytes, normal_bytes
-from recon.page import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
+from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
 from recon.pictures import (
     Picture,
     crop_to_mask,
@@ -29,7 +29,7 @@ from recon.pictures import (
     tone,
     white_of,
 )
-from recon.pipeline import Shape
+from recon.reconstruct import Shape
 from recon.tables import PAPER_COLUMNS, TRUTH_COLUMNS, Column, figure_table, length_text, unit_of
 
 Metrics = Mapping[str, Any]

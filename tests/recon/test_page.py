@@ -21,10 +21,12 @@ from PIL import Image
 
 from gen.errors import InputError
 from recon import page as pages
-from recon.page import Bar, Column, Figure, Gallery, Note, Page, Plot, Row, Section, Series, Table, Wipe, render_page, write_page
+from recon.page import render_page, write_page
 from recon.page_mesh import cluster, pack
+from recon.page_parts import Bar, Figure, Gallery, Note, Page, Plot, Row, Section, Series, Table, Wipe
 from recon.page_plot import ticks
 from recon.pictures import sphere_legend
+from recon.tables import Column
 
 HOSTILE = (
     """<script>document.title='owned'</script><img src=x onerror="document.title='owned'">"'&amp;{{ 7*7 }}</script></style>"""

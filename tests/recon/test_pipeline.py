@@ -16,7 +16,8 @@ from gen.errors import InputError
 from gen.exr import read_exr, stack
 from recon.compare import LABELS, compare
 from recon.metrics import angular_error, eroded
-from recon.pipeline import Settings, measure
+from recon.pipeline import measure
+from recon.reconstruct import Settings
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Registry
 
 Synthetic = Callable[..., Capture]
@@ -85,7 +86,7 @@ def test_writes_everything_it_promises(tmp_path: Path, synthetic: Synthetic) -> 
     metrics = shape.write(tmp_path / "out")
     found = {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*") if p.is_file()}
     wanted = {f"{n}.{e}" for n in ("normal", "height") for e in ("exr", "png")}
-    wanted |= {"albedo.exr", "mesh.ply", "mesh.glb", "metrics.json", "report.html", ".degloss"}
+    wanted |= {"albedo.exr", "mesh.ply", "mesh.glb", "metrics.json", "report.html", "overview.png", ".degloss"}
     wanted |= {f"{layer}/{k:03d}.{e}" for layer in ("diffuse", "specular") for k in range(1, 6) for e in ("exr", "png")}
     wanted |= {f"defects/{k:03d}.png" for k in range(1, 6)}
     assert found == wanted

@@ -1,0 +1,147 @@
+"""From a remover's layers to the shape: find and repair the defects, solve for normals, integrate, all by name."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gen.capture import Capture, Fault, grey
+from gen.errors import InputError
+from recon.conditioning import leave_out, lit, lowered
+from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired
+from recon.suitability import require_suitable
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from recon.defects import Defects
+
+Progress = Callable[[str], None]
+"""Called with the name of each step as it begins."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The choices of a measurement, by name.
+
+    gloss, repair, normals, height: names of `recon.registry`; "none" leaves the step out.
+    threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto".
+    dilate: pixels by which defects grow.
+    saturated: "drop" leaves clipped samples out where the other lights still determine the normal, and counts the rest of them as
+    defects; "keep" uses them like all others. shadows: the same for samples under `recon.conditioning.LIT` of their pixel's
+    brightest; they are kept by default, since with few lights a shadow is evidence too.
+    Raises InputError for an unknown name or an impossible value.
+    """
+
+    gloss: str = "chromaticity"
+    repair: str = "telea"
+    normals: str = "least-squares"
+    height: str = "quadratic"
+    threshold: float | str = "auto"
+    dilate: int = 1
+    saturated: str = "drop"
+    shadows: str = "keep"
+
+    def __post_init__(self) -> None:
+        for registry, name in ((GLOSS, self.gloss), (REPAIR, self.repair), (NORMALS, self.normals), (HEIGHT, self.height)):
+            registry[name]
+        if isinstance(self.threshold, str):
+            if self.threshold != "auto":
+                raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
+        elif not (np.isfinite(self.threshold) and self.threshold > 0):
+            raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
+        if not 0 <= self.dilate <= 1000:
+            raise InputError(f"--dilate {self.dilate}: must be from 0 to 1000 pixels")
+        for option, value in (("--saturated", self.saturated), ("--shadows", self.shadows)):
+            if value not in ("keep", "drop"):
+                raise InputError(f"{option} {value}: must be keep or drop")
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A measured surface, and how it came about.
+
+    consumed: which pictures photometric stereo worked on: "pictures" (no gloss removed), "matte" or "diffuse".
+    images: (K, H, W, 3), those pictures after repair. weights: (K, H, W), what each sample counted.
+    seconds: the time each step took.
+    """
+
+    capture: Capture
+    settings: Settings
+    layers: Layers
+    consumed: str
+    defects: Defects
+    images: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    normals: Normals
+    height: Height
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface as a mesh in the camera frame, in `height.unit`, with the albedo as vertex colours."""
+        from recon.mesh import surface_mesh
+
+        return surface_mesh(self.height.points, self.normals.normal, self.normals.albedo)
+
+
+def reconstruct(
+    capture: Capture,
+    layers: Layers,
+    settings: Settings,
+    progress: Progress | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> Shape:
+    """From a remover's layers to the shape: defects, repair, normals, height. Raises InputError where nothing can be measured.
+
+    seconds: times of what went before, to which those of the steps here are added.
+    """
+    from recon.defects import find_defects
+
+    require_suitable(capture)
+    times = dict(seconds or {})
+    consumed = "pictures" if settings.gloss == "none" else "diffuse" if layers.matte is None else "matte"
+    pictures = layers.diffuse if layers.matte is None else layers.matte
+    with _timed(times, "repair", "repairing", progress):
+        drop_clipped = settings.saturated == "drop"
+        defects = find_defects(layers.specular, capture, settings.threshold, settings.dilate, pictures, drop_clipped)
+        repaired = REPAIR.load(settings.repair)(pictures, defects.mask, capture)
+    with _timed(times, "normals", "solving for normals", progress):
+        weights = sample_weights(capture, layers, repaired, settings)
+        normals = NORMALS.load(settings.normals)(capture.reflectance(repaired.images), capture.lights, capture.mask, weights)
+        if not normals.measurable.any():
+            raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
+    with _timed(times, "height", "integrating", progress):
+        height = HEIGHT.load(settings.height)(normals.normal, normals.measurable, capture.scale)
+    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, times)
+
+
+def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, settings: Settings) -> NDArray[np.float32]:
+    """What each sample counts, (K, H, W): the repair's weight times the remover's confidence, 0 where missing.
+
+    Clipped samples, and shadowed ones where asked, are left out. Neither this nor the confidence goes further than the lights
+    allow: a pixel whose normal the other samples would no longer determine keeps them (see `recon.conditioning.lowered`).
+    """
+    weights = np.where(capture.faults & Fault.MISSING, 0, repaired.weights).astype(np.float32)
+    if layers.confidence is not None:
+        weights = lowered(weights, weights * layers.confidence, capture.lights)
+    if settings.shadows == "drop":
+        shadow = ~lit(grey(capture.reflectance(repaired.images))) | ((capture.faults & Fault.DARK) > 0)
+        weights = leave_out(weights, shadow, capture.lights)
+    if settings.saturated == "drop":
+        weights = leave_out(weights, (capture.faults & Fault.CLIPPED) > 0, capture.lights)
+    return weights
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], key: str, title: str, progress: Progress | None) -> Iterator[None]:
+    if progress is not None:
+        progress(title)
+    start = time.perf_counter()
+    yield
+    seconds[key] = time.perf_counter() - start

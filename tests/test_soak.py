@@ -1,0 +1,78 @@
+"""Long use in one process: memory and open files stay flat. Short here, long under `make soak`."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gen.capture import Capture
+from recon.pipeline import measure
+
+Synthetic = Callable[..., Capture]
+
+
+def resident() -> int:
+    """Megabytes of this process in memory."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return int(line.split()[1]) // 1024
+    raise AssertionError("no VmRSS")
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system has no /proc")
+@pytest.mark.parametrize("runs", [12, pytest.param(200, marks=pytest.mark.soak)])
+def test_measuring_again_and_again_leaks_nothing(runs: int, synthetic: Synthetic, tmp_path: Path) -> None:
+    capture = synthetic("sphere", 96)
+    memory, files = [], []
+    for _ in range(runs):
+        measure(capture).write(tmp_path / "out")
+        gc.collect()
+        memory.append(resident())
+        files.append(open_files())
+    third = runs // 3
+    assert np.median(memory[-third:]) - np.median(memory[third : 2 * third]) < 20
+    assert files[-1] <= files[third]
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.render
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system has no /proc")
+@pytest.mark.parametrize("runs", [20, pytest.param(400, marks=pytest.mark.soak)])
+def test_rendering_again_and_again_leaks_nothing(runs: int) -> None:
+    """One worker, never replaced: five pictures a run."""
+    from gen.farm import Farm
+    from gen.render import render
+    from gen.spec import read_spec
+
+    spec = read_spec("smoke")
+    memory = []
+    others = set(worker_memory())
+    with Farm(1, None, jobs_per_worker=10 * runs) as farm:
+        for _ in range(runs):
+            render(spec, farm=farm)
+            memory.append(sum(size for pid, size in worker_memory().items() if pid not in others))
+    third = runs // 3
+    assert 50 < memory[-1] < 600
+    assert np.median(memory[-third:]) - np.median(memory[third : 2 * third]) < 25
+
+
+def worker_memory() -> dict[int, int]:
+    """Megabytes of every worker process there is, by its number."""
+    found = {}
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            text = status.read_text()
+            command = (status.parent / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if b"blender_scenes" in command and "VmRSS" in text:
+            found[int(status.parent.name)] = int(text.split("VmRSS:")[1].split()[0]) // 1024
+    return found
