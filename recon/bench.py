@@ -23,7 +23,7 @@ from recon.compare import compare
 from recon.pipeline import measure
 from recon.registry import GLOSS
 
-PRESETS = ("paper-cylinder", "polished-cylinder", "paper-sphere")
+PRESETS = ("paper-cylinder", "polished-cylinder", "grey-cylinder", "paper-sphere")
 RUNS = 5
 
 

@@ -1,0 +1,62 @@
+"""What the README shows works as it stands there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gen.capture import Capture
+from gen.formats.render_folder import write_render
+from gen.spec import spec_from
+from gen.strict_yaml import parse_yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+Synthetic = Callable[..., Capture]
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+
+
+def test_the_spec_is_one() -> None:
+    (text,) = blocks("yaml")
+    assert spec_from(parse_yaml(text, "README.md", "a spec"), "README.md").name == "my-cylinder"
+
+
+def test_the_python_runs(tmp_path: Path, synthetic: Synthetic) -> None:
+    (code,) = blocks("python")
+    write_render(synthetic("sphere", 32), tmp_path / "photos" / "bolt")
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "out" / "bolt" / "mesh.ply").is_file()
+
+
+def test_every_command_and_option_exists() -> None:
+    """Each `degloss ...` line of the README against the help of that command."""
+    lines = [line.split("#")[0].strip() for block in blocks("") for line in block.replace("\n      ", " ").splitlines()]
+    commands = [line for line in lines if line.startswith("degloss ")]
+    assert len(commands) >= 4
+    for line in commands:
+        words = shlex.split(line.replace("[", " ").replace("]", " ").replace("|", " "))[1:]
+        depth = 2 if words[0] in ("recon", "gen") else 1
+        run = subprocess.run(
+            [sys.executable, "-m", "degloss", *words[:depth], "--help"], capture_output=True, text=True, cwd=ROOT
+        )
+        assert run.returncode == 0, line
+        for option in (word for word in words if word.startswith("-")):
+            assert re.search(rf"(^|\s){re.escape(option)}\b", run.stdout), f"{line}: {option}"
+
+
+@pytest.mark.parametrize("target", re.findall(r"!?\[[^\]]*\]\(([^)]+)\)", TEXT))
+def test_links_and_pictures_are_there(target: str) -> None:
+    assert target.startswith("http") or (ROOT / target).exists(), target
