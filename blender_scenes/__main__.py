@@ -32,8 +32,10 @@ def main(arguments: list[str]) -> int:
         parser.error("--threads must be from 0 to 1024")
 
     from blender_scenes.errors import JobError
+    from blender_scenes.versions import check_host
 
     try:
+        check_host()
         if options.worker:
             from blender_scenes.worker import serve
 
@@ -41,6 +43,7 @@ def main(arguments: list[str]) -> int:
         else:
             _render(options.job, options.output, options.threads, options.route)
     except JobError as error:
+        sys.stdout.flush()  # what Blender has printed comes first: who reads both takes the last line for the reason
         print(error, file=sys.stderr)
         return 2
     return 0
@@ -83,6 +86,7 @@ if __name__ == "__main__":
     except SystemExit as end:
         code = end.code
     except BaseException:  # Blender would end with 0 whatever its script did
+        sys.stdout.flush()
         traceback.print_exc()
     sys.stdout.flush()
     sys.stderr.flush()

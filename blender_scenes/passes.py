@@ -111,6 +111,9 @@ def _from_file(scene: Any) -> dict[str, Floats]:
     settings.color_mode = "RGBA"
     settings.color_depth = "32"
     settings.exr_codec = "NONE"
+    if hasattr(settings, "use_exr_interleave"):
+        # Blender 5 would write a part for each pass, which fails where pixels are not square: only the first part gets their aspect.
+        settings.use_exr_interleave = True
     with tempfile.TemporaryDirectory(prefix="blender_scenes.") as folder:
         path = Path(folder) / "passes.exr"
         scene.render.filepath = str(path)

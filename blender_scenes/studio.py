@@ -8,6 +8,7 @@ import numpy as np
 
 from blender_scenes.errors import MissingBlender
 from blender_scenes.shapes import Mesh
+from blender_scenes.versions import check_version
 
 LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libxext6 libgl1"
 """The system libraries (Debian's names) that the bpy wheel needs beside what a bare system has."""
@@ -16,12 +17,13 @@ REMEDY = f"pip install 'bpy>=4.5,<5.1' (Python 3.11) and, on Debian or Ubuntu, a
 
 
 def blender() -> Any:
-    """The module bpy. Raises MissingBlender, one line with the remedy, where it or one of its system libraries is missing."""
+    """The module bpy. Raises MissingBlender, one line with the remedy, where it or a system library is missing, or where it is too old."""
     try:
         import bpy
     except (ImportError, OSError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise MissingBlender(f"Blender cannot start ({reason}): {REMEDY}") from error
+    check_version(bpy.app.version)
     return bpy
 
 

@@ -152,7 +152,7 @@ PARTS: dict[str, PartOf] = {
         PartOf(
             "blender",
             "an installed Blender in place of the bpy module: --blender PATH",
-            "optional: install Blender 4.5 LTS",
+            "optional: install Blender 4.5 LTS, 5.0 or 5.2 LTS",
             _blender,
             False,
         ),
