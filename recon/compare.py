@@ -72,9 +72,9 @@ class Comparison:
             tree[name] = {"label": self.label(name), "measured": measured, **truth_figures(shape, common)}
             if self.reference is not None:
                 tree[name]["non-glossy"] = deviation(shape, self.reference, self.height_range())
-        ends = [_mean_error(tree.get(name, {})) for name in ("glossy", "true matte")]
+        ends = [mean_error(tree.get(name, {})) for name in ("glossy", "true matte")]
         for row in tree.values():
-            error = _mean_error(row)
+            error = mean_error(row)
             if error is not None and ends[0] is not None and ends[1] is not None:
                 row["gap closed"] = gap_closed(ends[0], error, ends[1])
         return tree
@@ -144,7 +144,8 @@ def free_scale(shape: Shape) -> bool:
     return shape.capture.scale.camera is not None or shape.height.unit == "px"
 
 
-def _mean_error(row: Mapping[str, Any]) -> float | None:
+def mean_error(row: Mapping[str, Any]) -> float | None:
+    """The mean angle to the true normals of a row of `Comparison.figures`, None where it has none."""
     value: float | None = row.get("normals", {}).get("mask", {}).get("mean")
     return value
 

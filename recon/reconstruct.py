@@ -30,7 +30,7 @@ Progress = Callable[[str], None]
 class Settings:
     """The choices of a measurement, by name.
 
-    gloss, repair, normals, height: names of `recon.registry`; "none" leaves the step out.
+    gloss, repair, normals, height: names of `recon.registry`; for gloss and repair "none" leaves the step out.
     threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto".
     dilate: pixels by which defects grow.
     saturated: "drop" leaves clipped samples out where the other lights still determine the normal, and counts the rest of them as

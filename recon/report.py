@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.compare import Comparison, free_scale, true_height
+from recon.compare import Comparison, free_scale, mean_error, true_height
 from recon.metrics import angular_error, fitted_height, height_bytes, normal_bytes
 from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
 from recon.pictures import (
@@ -76,7 +76,7 @@ def report_page(shape: Shape, comparison: Comparison, metrics: Metrics) -> Page:
 
 def _outcome(rows: Metrics) -> str:
     """What came out, in a sentence: the error of the normals, and what the glossy and the non-glossy pictures give."""
-    mean = {name: row["normals"]["mask"]["mean"] for name, row in rows.items() if "normals" in row}
+    mean = {name: error for name, row in rows.items() if (error := mean_error(row)) is not None}
     best = next((name for name in ("repaired", "removed", "glossy") if name in mean), None)
     if best is None:
         return ""
