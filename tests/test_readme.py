@@ -31,6 +31,13 @@ def test_the_spec_is_one() -> None:
     assert spec_from(parse_yaml(text, "README.md", "a spec"), "README.md").name == "my-cylinder"
 
 
+def test_every_shape_is_named() -> None:
+    from blender_scenes.shapes import SHAPES
+
+    (sentence,) = re.findall(r"^Shapes: (.*?), each with", TEXT, re.MULTILINE | re.DOTALL)
+    assert {word.split("(")[0].strip() for word in sentence.replace("\n", " ").split(",")} == set(SHAPES)
+
+
 def test_the_python_runs(tmp_path: Path, synthetic: Synthetic) -> None:
     (code,) = blocks("python")
     write_render(synthetic("sphere", 32), tmp_path / "photos" / "bolt")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def test_rendering_again_and_again_leaks_nothing(runs: int) -> None:
 
 
 def worker_memory() -> dict[int, int]:
-    """Megabytes of every worker process there is, by its number."""
+    """Megabytes of every worker process that this process started, by its number."""
     found = {}
     for status in Path("/proc").glob("[0-9]*/status"):
         try:
@@ -73,6 +74,6 @@ def worker_memory() -> dict[int, int]:
             command = (status.parent / "cmdline").read_bytes()
         except OSError:
             continue
-        if b"blender_scenes" in command and "VmRSS" in text:
+        if b"blender_scenes" in command and "VmRSS" in text and f"PPid:\t{os.getpid()}\n" in text:
             found[int(status.parent.name)] = int(text.split("VmRSS:")[1].split()[0]) // 1024
     return found

@@ -22,8 +22,24 @@ import numpy as np
 from blender_scenes.shapes.mesh import Mesh, Parameter, Range
 
 SHAPES = {
+    "capsule": "blender_scenes.shapes.capsule",
+    "cone": "blender_scenes.shapes.cone",
     "cylinder": "blender_scenes.shapes.cylinder",
+    "ellipsoid": "blender_scenes.shapes.ellipsoid",
+    "flange": "blender_scenes.shapes.flange",
+    "gear": "blender_scenes.shapes.gear",
+    "helical_spring": "blender_scenes.shapes.helical_spring",
+    "hexagonal_bolt": "blender_scenes.shapes.hexagonal_bolt",
+    "pipe_elbow": "blender_scenes.shapes.pipe_elbow",
+    "relief": "blender_scenes.shapes.relief",
+    "rounded_box": "blender_scenes.shapes.rounded_box",
     "sphere": "blender_scenes.shapes.sphere",
+    "stepped_shaft": "blender_scenes.shapes.stepped_shaft",
+    "superquadric": "blender_scenes.shapes.superquadric",
+    "torus": "blender_scenes.shapes.torus",
+    "truncated_cone": "blender_scenes.shapes.truncated_cone",
+    "turbine_blade": "blender_scenes.shapes.turbine_blade",
+    "turned_vase": "blender_scenes.shapes.turned_vase",
 }
 """Name of each shape and the module that holds its function (of the same name) and its `sample`."""
 

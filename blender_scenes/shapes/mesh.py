@@ -73,14 +73,14 @@ def _rows(array: Any, what: str) -> NDArray[np.float64]:
     return rows
 
 
-def grid_faces(rows: int, columns: int, first: int = 0) -> NDArray[np.int32]:
-    """Triangles of a grid of vertices (row-major, `rows` x `columns`, numbered from `first`) whose last column meets the first.
+def grid_faces(rows: int, columns: int, around: bool = True) -> NDArray[np.int32]:
+    """Triangles of a grid of vertices (row-major, `rows` x `columns`). around: the last column meets the first.
 
-    Counter-clockwise where rows run along the outward normal crossed with the columns' direction.
+    Counter-clockwise seen from where the columns' direction crossed with the rows' points.
     """
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
-    a = first + i * columns + j
-    b = first + i * columns + (j + 1) % columns
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij")
+    a = i * columns + j
+    b = i * columns + (j + 1) % columns
     quads = np.stack([a, b, b + columns, a + columns], axis=-1).reshape(-1, 4)
     triangles: NDArray[np.int32] = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int32)
     return triangles

@@ -11,10 +11,13 @@ import sys
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+
+from blender_scenes.shapes import Mesh, build
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -211,8 +214,94 @@ def meet(job: dict[str, Any], dx: float = 0.0, dy: float = 0.0) -> tuple[np.ndar
 
 @pytest.fixture(scope="session")
 def closed_form() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """`meet`, for every registered shape."""
+    """`meet`, for the shapes in SURFACES."""
     return meet
+
+
+def spans(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every whole number from low to high of each interval, with the interval's index."""
+    count = (high - low + 1).clip(0).astype(int)
+    which = np.repeat(np.arange(len(count)), count)
+    return which, low.astype(int)[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def rasterise(
+    points: np.ndarray, depth: np.ndarray, mesh: Mesh, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest triangle at each pixel, in plain numpy: whether there is one, its interpolated normal, and its depth.
+
+    points: (V, 2) column and row of each vertex. depth: (V,). Straight interpolation in the picture, as in a parallel projection.
+    """
+    width, height = size
+    corners = points[mesh.faces]
+    # Row by row, from the leftmost to the rightmost meeting with an edge: long thin facets have large boxes and few pixels.
+    which, y = spans(np.ceil(corners[..., 1].min(axis=1)).clip(0), np.floor(corners[..., 1].max(axis=1)).clip(None, height - 1))
+    start, stop = corners[which], np.roll(corners[which], -1, axis=1)
+    rise = stop[..., 1] - start[..., 1]
+    t = (y[:, None] - start[..., 1]) / np.where(rise == 0, np.inf, rise)
+    crossed = (t >= 0) & (t <= 1) & (rise != 0)
+    x = start[..., 0] + t * (stop[..., 0] - start[..., 0])
+    left, right = np.where(crossed, x, np.inf).min(axis=1), np.where(crossed, x, -np.inf).max(axis=1)
+    left, right = np.where(crossed.any(axis=1), left, 1), np.where(crossed.any(axis=1), right, 0)
+    row, x = spans(np.ceil(left).clip(0), np.floor(right).clip(None, width - 1))
+    which, y = which[row], y[row]
+    a, b, c = corners[which].transpose(1, 2, 0)
+
+    def twice(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return (p[0] - x) * (q[1] - y) - (p[1] - y) * (q[0] - x)
+
+    weights = np.stack([twice(b, c), twice(c, a), twice(a, b)], axis=1)
+    area = weights.sum(axis=1)
+    inside = (abs(area) > 1e-12) & ((weights * np.sign(area)[:, None]) >= 0).all(axis=1)
+    which, x, y, weights = which[inside], x[inside], y[inside], weights[inside] / area[inside, None]
+    far = (weights * depth[mesh.faces[which]]).sum(axis=1)
+    nearest = np.lexsort([far, y * width + x])
+    _, first = np.unique((y * width + x)[nearest], return_index=True)
+    pick = nearest[first]
+    met, normal, found = np.zeros((height, width), bool), np.zeros((height, width, 3)), np.full((height, width), np.nan)
+    at = y[pick], x[pick]
+    met[at], found[at] = True, far[pick]
+    blend = (weights[pick][..., None] * mesh.normals[mesh.faces[which[pick]]]).sum(axis=1)
+    normal[at] = blend / np.linalg.norm(blend, axis=1, keepdims=True)
+    return met, normal, found
+
+
+def posed(job: dict[str, Any]) -> Mesh:
+    """The job's mesh in the camera's frame."""
+    rotation, shift = np.array(job["pose"]["rotation"]), np.array(job["pose"]["translation"])
+    mesh = build(job["shape"]["name"], **job["shape"]["parameters"])
+    return Mesh(mesh.vertices @ rotation.T + shift, mesh.faces, mesh.normals @ rotation.T)
+
+
+def draw(job: dict[str, Any], mesh: Mesh, dx: float, dy: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`rasterise` of a posed mesh under the job's parallel camera, (dx, dy) pixels off the pixel centres."""
+    width, height = job["resolution"]
+    mm = job["camera"]["width"] / width
+    x, y = mesh.vertices[:, 0] / mm + width / 2 - 0.5 - dx, height / 2 - 0.5 - mesh.vertices[:, 1] / mm - dy
+    return rasterise(np.stack([x, y], axis=1), job["camera"]["distance"] - mesh.vertices[:, 2], mesh, (width, height))
+
+
+def occlusion(mesh: Mesh, points: np.ndarray, light: np.ndarray, margin: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (N, 3) are surely shadowed and which surely lit under a distant light, from the mesh as the light sees it.
+
+    Sure where all nine cells around a point in a map of 400 x 400 agree by `margin` mm.
+    """
+    across = np.cross(light, [0.3, 0.9, 0.2])
+    frame = np.stack([across, np.cross(light, across), light]) / np.array([[np.linalg.norm(across)]] * 2 + [[1.0]])
+    seen, asked = mesh.vertices @ frame.T, points @ frame.T
+    low, cells = seen[:, :2].min(axis=0), 400
+    step = np.ptp(seen[:, :2], axis=0).max() / (cells - 5)
+    _, _, far = rasterise((seen[:, :2] - low) / step + 2, -seen[:, 2], mesh, (cells, cells))
+    far = np.where(np.isnan(far), np.inf, far)
+    column, row = np.rint((asked[:, :2] - low) / step + 2).astype(int).T.clip(1, cells - 2)
+    around = np.stack([far[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    return (around < -asked[:, 2] - margin).all(axis=0), (around > -asked[:, 2] - margin).all(axis=0)
+
+
+@pytest.fixture(scope="session")
+def oracle() -> SimpleNamespace:
+    """`posed`, `draw` and `occlusion`: what a mesh looks like, without Blender."""
+    return SimpleNamespace(posed=posed, draw=draw, occlusion=occlusion)
 
 
 @pytest.fixture(scope="session")

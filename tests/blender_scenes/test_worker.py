@@ -55,7 +55,7 @@ BAD = {
     "camera.K must be": put({"kind": "perspective", "K": [[9, 1, 0], [0, 9, 0], [0, 0, 1]], "distance": 200}, "camera"),
     "camera.K must be numbers of shape 3x3": put({"kind": "perspective", "K": [[9, 1], [0]], "distance": 200}, "camera"),
     "before the camera": put(10, "camera", "distance"),
-    "shape cone: unknown": put("cone", "shape", "name"),
+    "shape teapot: unknown": put("teapot", "shape", "name"),
     "shape sphere: unknown parameter size": put({"size": 3}, "shape", "parameters"),
     "shape sphere: radius must be a number": put({"radius": float("inf")}, "shape", "parameters"),
     "shape.parameters must be an object": put([3], "shape", "parameters"),
@@ -195,10 +195,10 @@ def test_command_line_errors_are_one_line(job, tmp_path, python) -> None:
     python("")
     good, bad = tmp_path / "good.json", tmp_path / "bad.json"
     good.write_text(json.dumps(job("sphere", "orthographic", size=(8, 8))))
-    bad.write_text(json.dumps(job("cone", "orthographic")))
+    bad.write_text(json.dumps(job("teapot", "orthographic")))
     (tmp_path / "broken.json").write_text("{")
     for arguments, message in (
-        ([str(bad), "-o", str(tmp_path / "x.npz")], "shape cone: unknown"),
+        ([str(bad), "-o", str(tmp_path / "x.npz")], "shape teapot: unknown"),
         ([str(tmp_path / "broken.json"), "-o", str(tmp_path / "x.npz")], "is not JSON"),
         ([str(tmp_path / "none.json")], "cannot be read"),
         ([str(good)], "names no 'out'"),

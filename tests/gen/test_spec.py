@@ -144,7 +144,7 @@ WHOLE = [
     ("name: a", "shape: is missing"),
     ("name: ../a\nshape: {name: sphere}\n" + FLAT, "name: must match"),
     ("name: a\nshape: sphere\n" + FLAT, "shape: must hold 'key: value' pairs"),
-    ("name: a\nshape: {name: spere}\n" + FLAT, "shape.name: unknown shape 'spere'; there are cylinder, sphere"),
+    ("name: a\nshape: {name: spere}\n" + FLAT, "shape.name: unknown shape 'spere'; there are capsule, cone, cylinder"),
     ("name: a\nshape: {name: sphere, lenght: 3}\n" + FLAT, "shape.lenght: unknown parameter of sphere"),
     ("name: a\nshape: {name: sphere, radius: -3}\n" + FLAT, "shape: radius must be a number from"),
     (BALL + "camera: {width_mm: 60}", "camera: needs a 'kind'"),
