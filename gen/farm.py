@@ -49,7 +49,7 @@ class Farm:
     """
 
     def __init__(
-        self, workers: int = 1, blender: str | None = None, timeout: float = 600.0, tries: int = 3, jobs_per_worker: int = 500
+        self, workers: int = 1, blender: str | None = None, timeout: float = 600.0, tries: int = 3, jobs_per_worker: int = 200
     ) -> None:
         if workers < 1:
             raise InputError(f"--workers {workers}: must be at least 1")
