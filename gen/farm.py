@@ -49,7 +49,7 @@ class Farm:
     """
 
     def __init__(
-        self, workers: int = 1, blender: str | None = None, timeout: float = 600.0, tries: int = 3, jobs_per_worker: int = 200
+        self, workers: int = 1, blender: str | None = None, timeout: float = 600.0, tries: int = 3, jobs_per_worker: int = 150
     ) -> None:
         if workers < 1:
             raise InputError(f"--workers {workers}: must be at least 1")
@@ -118,7 +118,9 @@ class Farm:
         except Exception as error:
             done.put(error)
         finally:
-            if worker is not None:
+            if worker is not None and worker.jobs_done >= self._jobs_per_worker:
+                self._drop(worker, gently=True)
+            elif worker is not None:
                 with self._lock:
                     self._idle.append(worker)
 

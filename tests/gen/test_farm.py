@@ -132,6 +132,13 @@ def test_workers_are_kept_between_runs_and_replaced_when_old(blender: Path) -> N
     assert len(pids(blender)) == 2
 
 
+def test_workers_grow_old_over_runs_of_one_job_too(blender: Path) -> None:
+    with Farm(1, str(blender), jobs_per_worker=3) as farm:
+        for _ in range(7):
+            assert all(outcome.ok for outcome in farm.run(jobs("a")))
+    assert len(pids(blender)) == 3
+
+
 def test_leaving_in_the_middle_leaves_nothing_behind(blender: Path) -> None:
     with suppress(KeyError), Farm(3, str(blender)) as farm:
         for outcome in farm.run(jobs("hang-1", "hang-2", "a", "b")):
