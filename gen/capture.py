@@ -110,7 +110,7 @@ class Capture:
     source: where it came from, for reports. provenance: whatever else the source says of itself.
 
     Raises InputError where shapes disagree, lights have no length, or the mask is empty. Whether the lights suffice for photometric stereo
-    is for `recon.conditioning.require_spanning_lights` to say: a capture of one light is a capture too.
+    is for the measurement to say (`recon.suitability`): a capture of one light is a capture too.
     """
 
     images: Floats

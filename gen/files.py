@@ -119,11 +119,12 @@ def _belongs(name: str, path: Path) -> bool:
 
 
 def _alive(process: int) -> bool:
+    """Whether a process of that number may be there: only a clear no counts as one."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:
+    except (OSError, OverflowError):  # somebody else's, or no number of a process at all
         return True
     return True
 

@@ -54,10 +54,12 @@ def normal_matrices(lights: Doubles, weights: NDArray[np.floating[Any]]) -> Doub
 def distinct(weights: NDArray[np.floating[Any]]) -> tuple[NDArray[np.floating[Any]], NDArray[np.intp]]:
     """The different columns of weights, and which of them each pixel has: what follows from weights alone is worked out once for each.
 
-    weights: (K, P). Returns patterns (K, Q) and index (P,), with patterns[:, index] == weights. Weights other than 0 and 1 (or more than 62
-    lights) hardly repeat and come back as they are.
+    weights: (K, P). Returns patterns (K, Q) and index (P,), with patterns[:, index] == weights. Pixels that all
+    weigh alike are one pattern; other weights than 0 and 1 (or more than 62 lights) hardly repeat and come back as they are.
     """
     count = len(weights)
+    if (weights == weights[:, :1]).all():
+        return weights[:, :1], np.zeros(weights.shape[1], dtype=np.intp)
     if count > 62 or not ((weights == 0) | (weights == 1)).all():
         return weights, np.arange(weights.shape[1])
     keys = (1 << np.arange(count, dtype=np.int64)) @ weights.astype(np.int64)

@@ -184,8 +184,10 @@ def test_what_a_killed_run_left_is_swept_by_the_next(folder: Path, tmp_path: Pat
     (tmp_path / f".out.{dead.pid}.abc.tmp").mkdir()
     (tmp_path / f".out.{os.getpid()}.abc.tmp").mkdir()  # of a run that is alive
     (tmp_path / ".out.notes").mkdir()
+    odd = f".out.{10**30}.abc.tmp"
+    (tmp_path / odd).mkdir()
     assert degloss("recon", "run", folder, "-o", tmp_path / "out").returncode == 0
-    assert sorted(p.name for p in tmp_path.iterdir()) == [f".out.{os.getpid()}.abc.tmp", ".out.notes", "out"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([f".out.{os.getpid()}.abc.tmp", odd, ".out.notes", "out"])
 
 
 def test_files_of_others_in_a_result_are_never_lost(folder: Path, tmp_path: Path) -> None:

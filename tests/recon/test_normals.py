@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gen.capture import Capture
 from gen.errors import InputError
-from recon.conditioning import MAX_CONDITION, condition_numbers, leave_out, lowered, require_spanning_lights
+from recon.conditioning import MAX_CONDITION, condition_numbers, distinct, leave_out, lowered, require_spanning_lights
 from recon.metrics import angular_error
 from recon.registry import NORMALS
 
@@ -139,6 +139,17 @@ def test_condition_numbers_are_numpys() -> None:
     w[3:] = 0
     w[2, 0] = 0
     assert np.isinf(condition_numbers(lights, w)[0])
+
+
+@pytest.mark.parametrize("lights", [5, 62, 96])
+def test_equal_weights_are_worked_out_once(lights: int) -> None:
+    rng = np.random.default_rng(3)
+    alike = np.repeat(rng.random((lights, 1)), 50, axis=1)
+    binary = (rng.random((lights, 2)) < 0.5).astype(float)[:, rng.integers(0, 2, 50)]
+    for weights, most in ((alike, 1), (binary, 2 if lights <= 62 else 50), (rng.random((lights, 50)), 50)):
+        patterns, index = distinct(weights)
+        assert patterns.shape[1] <= most
+        assert (patterns[:, index] == weights).all()
 
 
 def test_leave_out_stops_where_the_lights_no_longer_suffice() -> None:
