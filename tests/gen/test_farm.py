@@ -152,7 +152,8 @@ def test_leaving_in_the_middle_leaves_nothing_behind(blender: Path) -> None:
 def test_no_orphans_when_the_parent_is_interrupted_or_killed(blender: Path, number: int) -> None:
     kind = "hang" if number == signal.SIGINT else "a"  # a killed parent cannot end a hung worker: the real one watches its parent
     code = f"""
-        import time
+        import signal, time
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell hands it down ignored
         from gen.farm import Farm
         with Farm(2, {str(blender)!r}) as farm:
             for outcome in farm.run([{{"id": "{kind}-1"}}, {{"id": "{kind}-2"}}]):
