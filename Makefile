@@ -19,6 +19,8 @@ test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m recon.bench
+	$(BIN)/python -m gen.bench
+	$(BIN)/python -m gen.deviation
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -q -m soak
@@ -30,7 +32,7 @@ check: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,cluster,dev]'
 	touch $@
 
 clean:

@@ -81,7 +81,8 @@ def main() -> None:
         sys.stdout.flush()
     except BaseException as error:
         if interrupted:  # whatever it came as: a module that is interrupted while it is imported fails in its own way
-            print("degloss: stopped; nothing was left half-written, run the same command again", file=sys.stderr)
+            how = str(error) if isinstance(error, KeyboardInterrupt) else ""  # a command may know better how to go on
+            print(f"degloss: {how or 'stopped; nothing was left half-written, run the same command again'}", file=sys.stderr)
             sys.exit(130)
         sys.exit(_verdict(error))
 

@@ -1,7 +1,7 @@
 """The studio's plain entry.
 
 python -m blender_scenes JOB.json -o OUT.npz
-python -m blender_scenes --worker [--in FD --out FD] [--threads N] [--route auto|memory|exr]
+python -m blender_scenes --worker [--in FD --out FD] [--threads N] [--route auto|memory|exr] [--device auto|cpu|gpu]
 blender -b --factory-startup --python blender_scenes/__main__.py -- (the same arguments)
 """
 
@@ -25,6 +25,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", dest="sink", type=int, default=1, metavar="FD", help="descriptor of the worker's replies")
     parser.add_argument("--threads", type=int, default=0, help="Cycles' threads (default: all cores)")
     parser.add_argument("--route", choices=("auto", "memory", "exr"), default="auto", help="how the pixels leave Blender")
+    parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="cpu", help="what Cycles computes on (default: cpu)")
     options = parser.parse_args(arguments)
     if options.worker == (options.job is not None):
         parser.error("give either a job or --worker")
@@ -39,9 +40,9 @@ def main(arguments: list[str]) -> int:
         if options.worker:
             from blender_scenes.worker import serve
 
-            serve(options.source, options.sink, options.threads, options.route)
+            serve(options.source, options.sink, options.threads, options.route, options.device)
         else:
-            _render(options.job, options.output, options.threads, options.route)
+            _render(options.job, options.output, options.threads, options.route, options.device)
     except JobError as error:
         sys.stdout.flush()  # what Blender has printed comes first: who reads both takes the last line for the reason
         print(error, file=sys.stderr)
@@ -49,7 +50,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _render(path: Path, output: Path | None, threads: int, route: str) -> None:
+def _render(path: Path, output: Path | None, threads: int, route: str, device: str) -> None:
     from blender_scenes.errors import JobError
     from blender_scenes.shot import shoot
     from blender_scenes.studio import empty_scene
@@ -65,7 +66,7 @@ def _render(path: Path, output: Path | None, threads: int, route: str) -> None:
     if place is None:
         raise JobError(f"{path}: names no 'out'; say -o OUT.npz")
     _silence()
-    arrays, _ = shoot(empty_scene(threads), job, route)
+    arrays, _ = shoot(empty_scene(threads, device), job, route)
     write(place, arrays)
 
 

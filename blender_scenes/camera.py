@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from blender_scenes.job import Job, Orthographic
@@ -46,7 +47,34 @@ def put_camera(scene: Any, job: Job) -> Any:
     return item
 
 
+def object_box(job: Job) -> tuple[int, int, int, int]:
+    """x0, y0, x1, y1 of the pixels that can show the object, a pixel to spare on each side, the last two exclusive; the whole frame
+    where it is out of sight."""
+    points = job.posed_mesh.vertices
+    if isinstance(job.camera, Orthographic):
+        scale = job.width / job.camera.width
+        x, y = points[:, 0] * scale + job.width / 2, job.height / 2 - points[:, 1] * scale
+    else:
+        depth = job.camera.distance - points[:, 2]
+        K = job.camera.K
+        x, y = K[0, 0] * points[:, 0] / depth + K[0, 2] + 0.5, K[1, 2] + 0.5 - K[1, 1] * points[:, 1] / depth
+    x0, y0 = max(0, math.floor(x.min()) - 1), max(0, math.floor(y.min()) - 1)
+    x1, y1 = min(job.width, math.ceil(x.max()) + 1), min(job.height, math.ceil(y.max()) + 1)
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else (0, 0, job.width, job.height)
+
+
+def crop_to(scene: Any, job: Job, box: tuple[int, int, int, int]) -> None:
+    """Render the pixels of a box only (see `object_box`)."""
+    render, n = scene.render, job.supersampling
+    x0, y0, x1, y1 = box
+    width, height = render.resolution_x, render.resolution_y
+    render.use_border = render.use_crop_to_border = box != (0, 0, job.width, job.height)
+    # Blender cuts the products off to whole pixels, and counts rows from below.
+    render.border_min_x, render.border_max_x = (n * x0 + 0.25) / width, (n * x1 + 0.25) / width
+    render.border_min_y, render.border_max_y = (height - n * y1 + 0.25) / height, (height - n * y0 + 0.25) / height
+
+
 def _range(job: Job) -> tuple[float, float]:
     """Distances along -z from the camera to the nearest and the farthest vertex."""
-    depth = job.camera.distance - job.posed_mesh().vertices[:, 2]
+    depth = job.camera.distance - job.posed_mesh.vertices[:, 2]
     return float(depth.min()), float(depth.max())

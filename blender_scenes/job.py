@@ -5,30 +5,39 @@ A job is a JSON object:
     {"id": "a", "out": "/path/a.npz", "resolution": [W, H], "supersampling": 1,
      "camera": {"kind": "orthographic", "width": mm across W pixels, "distance": mm}
              | {"kind": "perspective", "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], "distance": mm},
-     "shape": {"name": "cylinder", "parameters": {"radius": 20}},
+     "shape": {"name": "cylinder", "parameters": {"radius": 20}, "detail": [{"kind": "grooves", "pitch": 0.8}]} | {"file": "/path/b.npz"},
      "pose": {"rotation": [[...], [...], [...]], "translation": [x, y, z]},
      "material": {"kind": "substrate", "diffuse": [r, g, b], "specular": [r, g, b], "alpha": a},
-     "lights": [{"direction": [x, y, z], "intensity": [r, g, b]}]}
+     "lights": [{"kind": "sun", "direction": [x, y, z], "intensity": [r, g, b]}],
+     "samples": 1, "bounces": 0, "seed": 0, "layers": ["combined", "diffuse", "specular", "matte"], "crop": false}
 
 The camera sits at (0, 0, distance) and looks along -z, x right, y up: the world is the camera frame with its origin at the object's
-middle. K is OpenCV's (y down, pixel centres at integers). Light directions point to the light; the intensity is the radiance of a
-white Lambertian surface that faces it. "out" is needed by the worker only; "supersampling" and "pose" may be left out.
+middle. K is OpenCV's (y down, pixel centres at integers). There is one entry of "lights" a picture: a light (see `blender_scenes.light`),
+or a list of those that shine at once. Materials are those of `blender_scenes.materials`. "samples" of every sub-sample are drawn where
+light comes from many directions (area, environment, ambient, bounces), by "seed"; suns and point lights need one. "bounces" is how often
+light may pass from surface to surface. "layers": see `blender_scenes.shot`. "crop": only the box of pixels that holds the object is
+rendered and handed back. "shape": by name, or the arrays of a file (see `blender_scenes.mesh_file`), either with or without "detail" (see
+`blender_scenes.shapes.detail`). "out" is needed by the worker only; "supersampling", "pose" and the last line's entries may be left out.
 """
 
 from __future__ import annotations
 
-import math
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from blender_scenes import shapes
+from blender_scenes.entries import Entries, Numbers
 from blender_scenes.errors import JobError
-
-Numbers = NDArray[np.float64]
+from blender_scenes.light import Light, Point, Sun, parse_light
+from blender_scenes.materials import Material
+from blender_scenes.materials import parse as parse_material
+from blender_scenes.mesh_file import read_mesh
+from blender_scenes.shapes.detail import add_detail, checked_details
 
 MAX_SIDE = 16384
 """The longest side of a render in sub-samples, supersampling included."""
@@ -37,6 +46,9 @@ MAX_SAMPLES = 1 << 25
 """The most sub-samples of a render; each takes some 150 bytes of memory."""
 
 MAX_LIGHTS = 4096
+
+LAYERS = ("combined", "diffuse", "specular", "matte", "lit", "ks0", "mirror")
+"""What a job may ask for of each picture; see `blender_scenes.shot`."""
 
 
 @dataclass(frozen=True)
@@ -56,23 +68,6 @@ class Perspective:
 
 
 @dataclass(frozen=True, eq=False)
-class Substrate:
-    """diffuse, specular: (3,) Rd, Rs in [0, 1]. alpha: width of the Trowbridge-Reitz distribution."""
-
-    diffuse: Numbers
-    specular: Numbers
-    alpha: float
-
-
-@dataclass(frozen=True, eq=False)
-class Sun:
-    """direction: (3,) unit vector to the light. intensity: (3,) irradiance / pi."""
-
-    direction: Numbers
-    intensity: Numbers
-
-
-@dataclass(frozen=True, eq=False)
 class Job:
     """A job that has been checked. rotation: (3, 3) object to world, translation: (3,) mm."""
 
@@ -80,13 +75,19 @@ class Job:
     height: int
     camera: Orthographic | Perspective
     mesh: shapes.Mesh
-    material: Substrate
-    lights: tuple[Sun, ...]
+    material: Material
+    lights: tuple[tuple[Light, ...], ...]
     rotation: Numbers = field(default_factory=lambda: np.eye(3))
     translation: Numbers = field(default_factory=lambda: np.zeros(3))
     supersampling: int = 1
+    samples: int = 1
+    bounces: int = 0
+    seed: int = 0
+    layers: tuple[str, ...] = LAYERS[:4]
+    crop: bool = False
     out: str | None = None
 
+    @cached_property
     def posed_mesh(self) -> shapes.Mesh:
         """The mesh in the world. Posed here in double precision, so that Blender keeps it as it stands."""
         normals = None if self.mesh.normals is None else self.mesh.normals @ self.rotation.T
@@ -95,7 +96,7 @@ class Job:
 
 def parse(job: object) -> Job:
     """The checked job of a JSON object. Raises JobError, one line that names the entry, where anything in it is wrong."""
-    entries = _Entries("job", job)
+    entries = Entries("job", job)
     resolution = entries.numbers("resolution", (2,), low=1, high=MAX_SIDE, whole=True)
     n = entries.number("supersampling", low=1, high=64, whole=True, default=1)
     if resolution.max() * n > MAX_SIDE or resolution.prod() * n**2 > MAX_SAMPLES:
@@ -112,23 +113,29 @@ def parse(job: object) -> Job:
         height=int(resolution[1]),
         camera=_camera(entries.entry("camera")),
         mesh=_shape(entries.entry("shape")),
-        material=_material(entries.entry("material")),
+        material=parse_material(entries.entry("material")),
         lights=_lights(entries.value("lights")),
         rotation=rotation,
         translation=pose.numbers("translation", (3,), low=-1e6, high=1e6, default=np.zeros(3)),
         supersampling=int(n),
+        samples=int(entries.number("samples", low=1, high=1 << 16, whole=True, default=1)),
+        bounces=int(entries.number("bounces", low=0, high=64, whole=True, default=0)),
+        seed=int(entries.number("seed", low=0, high=2**31 - 1, whole=True, default=0)),
+        layers=_layers(entries.value("layers", default=LAYERS[:4])),
+        crop=entries.flag("crop", default=False),
         out=entries.text("out", default=None),
     )
     pose.close()
     entries.text("id", default=None)
     entries.close()
-    nearest = checked.camera.distance - float(checked.posed_mesh().vertices[:, 2].max())
+    _check_light(checked)
+    nearest = checked.camera.distance - float(checked.posed_mesh.vertices[:, 2].max())
     if nearest <= 1e-3 * checked.camera.distance:
         raise JobError(f"job: the shape reaches to {nearest:g} mm before the camera; increase camera.distance")
     return checked
 
 
-def _camera(entries: _Entries) -> Orthographic | Perspective:
+def _camera(entries: Entries) -> Orthographic | Perspective:
     kind = entries.text("kind")
     distance = entries.number("distance", low=1e-3, high=1e7)
     camera: Orthographic | Perspective
@@ -145,112 +152,71 @@ def _camera(entries: _Entries) -> Orthographic | Perspective:
     return camera
 
 
-def _shape(entries: _Entries) -> shapes.Mesh:
+def _shape(entries: Entries) -> shapes.Mesh:
+    detail = entries.value("detail", default=[])
+    file = entries.text("file", default=None)
+    if file is not None:
+        entries.close()
+        mesh = read_mesh(file)
+        return _detailed(mesh, detail) if detail != [] else mesh
     name = entries.text("name")
     values = entries.value("parameters", default={})
     entries.close()
     if not isinstance(values, Mapping):
         raise JobError("job: shape.parameters must be an object of names and numbers")
     try:
-        return shapes.build(str(name), **{str(key): value for key, value in values.items()})
+        mesh = shapes.build(str(name), **{str(key): value for key, value in values.items()})
     except ValueError as error:
         raise JobError(f"job: {error}") from None
+    return _detailed(mesh, detail) if detail != [] else mesh
 
 
-def _material(entries: _Entries) -> Substrate:
-    kind = entries.text("kind")
-    if kind != "substrate":
-        raise JobError(f"job: material.kind {kind!r} is unknown; there is substrate")
-    material = Substrate(
-        diffuse=entries.numbers("diffuse", (3,), low=0, high=1),
-        specular=entries.numbers("specular", (3,), low=0, high=1),
-        alpha=entries.number("alpha", low=1e-3, high=10),
-    )
-    entries.close()
-    return material
+_latest: list[tuple[str, shapes.Mesh]] = []
+"""The mesh with detail that was made last, and what it was made from: jobs of one capture follow each other."""
 
 
-def _lights(lights: object) -> tuple[Sun, ...]:
-    if not isinstance(lights, list) or not 0 < len(lights) <= MAX_LIGHTS:
-        raise JobError(f"job: lights must be a list of 1 to {MAX_LIGHTS} lights")
-    suns = []
-    for k, light in enumerate(lights):
-        entries = _Entries(f"job: lights[{k}]", light)
-        direction = entries.numbers("direction", (3,))
-        length = float(np.linalg.norm(direction))
-        if not abs(length - 1) < 1e-3:
-            raise JobError(f"job: lights[{k}].direction must be a unit vector, its length is {length:g}")
-        suns.append(Sun(direction / length, entries.numbers("intensity", (3,), low=0, high=1e6)))
-        entries.close()
-    return tuple(suns)
+def _detailed(mesh: shapes.Mesh, detail: object) -> shapes.Mesh:
+    try:
+        details = checked_details(detail)
+        key = hashlib.sha256(json.dumps(details, sort_keys=True).encode())
+        for array in (mesh.vertices, mesh.faces, mesh.normals):
+            key.update(b"" if array is None else array.tobytes())
+        if not _latest or _latest[0][0] != key.hexdigest():
+            _latest[:] = [(key.hexdigest(), add_detail(mesh, details))]
+    except ValueError as error:
+        raise JobError(f"job: shape.{error}") from None
+    return _latest[0][1]
 
 
-_REQUIRED = object()
+def _lights(given: object) -> tuple[tuple[Light, ...], ...]:
+    if not isinstance(given, list) or not 0 < len(given) <= MAX_LIGHTS:
+        raise JobError(f"job: lights must be a list of 1 to {MAX_LIGHTS} pictures' lights")
+    pictures = []
+    for k, picture in enumerate(given):
+        if isinstance(picture, list):
+            if not 0 < len(picture) <= MAX_LIGHTS:
+                raise JobError(f"job: lights[{k}] must hold 1 to {MAX_LIGHTS} lights")
+            pictures.append(tuple(parse_light(Entries(f"job: lights[{k}][{i}]", light)) for i, light in enumerate(picture)))
+        else:
+            pictures.append((parse_light(Entries(f"job: lights[{k}]", picture)),))
+    return tuple(pictures)
 
 
-class _Entries:
-    """The entries of one JSON object, taken one by one; `close` refuses what nobody took."""
-
-    def __init__(self, where: str, given: object) -> None:
-        if not isinstance(given, Mapping):
-            raise JobError(f"{where} must be an object, got {_short(given)}")
-        self.where = where
-        self.given = given
-        self.taken: set[str] = set()
-
-    def _name(self, key: str) -> str:
-        return f"{self.where}: {key}" if self.where == "job" else f"{self.where}.{key}"
-
-    def value(self, key: str, default: Any = _REQUIRED) -> Any:
-        self.taken.add(key)
-        if key not in self.given and default is _REQUIRED:
-            raise JobError(f"{self._name(key)} is missing")
-        return self.given.get(key, default)
-
-    def entry(self, key: str, default: Any = _REQUIRED) -> _Entries:
-        return _Entries(self._name(key), self.value(key, default))
-
-    def text(self, key: str, default: Any = _REQUIRED) -> Any:
-        value = self.value(key, default)
-        if value is not default and not isinstance(value, str):
-            raise JobError(f"{self._name(key)} must be a text, got {_short(value)}")
-        return value
-
-    def number(
-        self, key: str, low: float = -math.inf, high: float = math.inf, whole: bool = False, default: Any = _REQUIRED
-    ) -> float:
-        return float(self.numbers(key, (), low, high, whole, default))
-
-    def numbers(
-        self,
-        key: str,
-        shape: tuple[int, ...],
-        low: float = -math.inf,
-        high: float = math.inf,
-        whole: bool = False,
-        default: Any = _REQUIRED,
-    ) -> Numbers:
-        value = self.value(key, default)
-        what = "a number" if shape == () else f"numbers of shape {'x'.join(map(str, shape))}"
-        try:
-            array = np.asarray(value)
-            right = array.shape == shape and array.dtype.kind in "iuf" and bool(np.isfinite(array).all())
-        except ValueError:
-            right = False
-        if not right:
-            raise JobError(f"{self._name(key)} must be {what}, all finite, got {_short(value)}")
-        if array.min() < low or array.max() > high:
-            raise JobError(f"{self._name(key)} must be from {low:g} to {high:g}, got {_short(value)}")
-        if whole and (array != np.round(array)).any():
-            raise JobError(f"{self._name(key)} must be whole, got {_short(value)}")
-        return array.astype(np.float64)
-
-    def close(self) -> None:
-        unknown = sorted(str(key) for key in self.given if key not in self.taken)
-        if unknown:
-            raise JobError(f"{self._name(unknown[0])} is unknown; there are {', '.join(sorted(self.taken))}")
+def _layers(given: object) -> tuple[str, ...]:
+    if not isinstance(given, list | tuple) or not given or any(name not in LAYERS for name in given):
+        raise JobError(f"job: layers must be a list of some of {', '.join(LAYERS)}")
+    return tuple(name for name in LAYERS if name in given)
 
 
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+def _check_light(job: Job) -> None:
+    """That the material can be rendered under these lights."""
+    if not job.material.one_light:
+        return
+    for k, picture in enumerate(job.lights):
+        for light in picture:
+            if not isinstance(light, Sun | Point):
+                raise JobError(
+                    f"job: lights[{k}]: the material holds under suns and point lights only, not under {type(light).__name__.lower()} light"
+                )
+    if job.bounces:
+        raise JobError("job: bounces: the material holds for direct light only; take approximate-substrate for interreflection")

@@ -2,53 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from blender_scenes.job import Substrate
-from blender_scenes.substrate import GAIN
+from blender_scenes.materials import Material, Placed
 
 Floats = NDArray[np.float32]
 
 
-def radiance(passes: Mapping[str, Floats], albedo: NDArray[np.float64]) -> dict[str, Floats]:
-    """combined, diffuse, specular and matte, each (H, W, 3), of one light from its passes at one sample a pixel.
+def radiance(
+    passes: Mapping[str, Floats], material: Material, placed: Placed, wanted: Collection[str]
+) -> tuple[dict[str, Floats], float]:
+    """The wanted ones of combined, diffuse, specular and matte, each (H, W, 3), of one light from its passes; and the largest
+    |combined - (diffuse + specular)| over the largest combined, 0 where all is black.
 
     combined is Cycles' own; diffuse and specular are each light times colour. Cycles divides its light pass by the colour, so
-    DiffDir is what a white Lambertian surface would show, shadows included (under a sun divided by GAIN), and the matte twin is
-    albedo * GAIN * DiffDir: exactly so at one sample a pixel, which is why pixels are averaged afterwards (`block_mean`). albedo: (3,).
+    DiffDir is what a white Lambertian surface would show, shadows included (under a light divided by the gain), and the matte twin is
+    albedo * gain * DiffDir: exactly so at one surface point, which is why pixels are averaged afterwards (`block_mean`).
     """
-    return {
-        "combined": np.ascontiguousarray(passes["Combined"][..., :3]),
-        "diffuse": passes["DiffDir"] * passes["DiffCol"],
-        "specular": passes["GlossDir"] * passes["GlossCol"],
-        "matte": passes["DiffDir"] * (GAIN * albedo).astype(np.float32),
-    }
+    combined = passes["Combined"][..., :3]
+    parts = {"combined": combined, "diffuse": _times(passes, "Diff"), "specular": _times(passes, "Gloss")}
+    rest = combined - parts["diffuse"]
+    rest -= parts["specular"]
+    off, peak = max(float(rest.max()), -float(rest.min())), float(combined.max())
+    if "matte" in wanted:
+        albedo = passes["albedo"] * np.float32(placed.gain) if "albedo" in placed.passes else placed.gain * material.albedo
+        parts["matte"] = np.multiply(passes["DiffDir"], albedo.astype(np.float32), out=rest)
+    return {name: part for name, part in parts.items() if name in wanted}, off / peak if peak > 0 else float(off > 0)
 
 
-def view(passes: Mapping[str, Floats], material: Substrate, n: int) -> dict[str, Floats]:
+def _times(passes: Mapping[str, Floats], name: str) -> Floats:
+    light = passes[f"{name}Dir"]
+    if f"{name}Ind" in passes:
+        light = light + passes[f"{name}Ind"]
+    # Into an array whose rows lie in order, which the passes' do not.
+    product: Floats = np.multiply(light, passes[f"{name}Col"], out=np.empty(light.shape, np.float32))
+    return product
+
+
+def lit(passes: Mapping[str, Floats], n: int) -> Floats:
+    """(H, W) share of each block of n x n sub-samples that the light reaches. Where the surface reflects nothing diffusely it counts as
+    unlit."""
+    red, green, blue = np.moveaxis(passes["DiffDir"], -1, 0)
+    return block_mean((red > 0) | (green > 0) | (blue > 0), n).astype(np.float32)
+
+
+def view(passes: Mapping[str, Floats], material: Material, n: int) -> dict[str, Floats]:
     """What does not depend on the light: coverage, normal, depth, albedo and gloss, over blocks of n x n sub-samples.
 
     coverage: (H, W) share of the sub-samples that hit. normal: (H, W, 3) the normalised mean of the hit ones, zero where none did.
-    depth: (H, W) mm along -z from the camera, their mean, NaN where none hit. albedo: (H, W, 3) Rd and gloss: (H, W) alpha, zero
-    where none hit.
+    depth: (H, W) mm along -z from the camera, their mean, NaN where none hit. albedo: (H, W, 3) of the matte twin and gloss: (H, W) alpha,
+    the hit ones' means, zero where none hit.
     """
     hit = passes["Combined"][..., 3] > 0.5
-    share = block_mean(hit.astype(np.float64), n)
+    share = block_mean(hit, n)
     covered = share > 0
     safe = np.where(covered, share, 1)
-    normal = block_mean(np.where(hit[..., None], passes["Normal"], 0).astype(np.float64), n)
+    normal = block_mean(np.where(hit[..., None], passes["Normal"], 0), n)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    depth = block_mean(np.where(hit, passes["Depth"][..., 0], 0).astype(np.float64), n) / safe
+    depth = block_mean(np.where(hit, passes["Depth"][..., 0], 0), n) / safe
+    if "albedo" in passes:
+        albedo = block_mean(np.where(hit[..., None], passes["albedo"], 0), n) / safe[..., None]
+    else:
+        albedo = covered[..., None] * material.albedo
+    gloss = block_mean(np.where(hit, passes["gloss"][..., 0], 0), n) / safe if "gloss" in passes else covered * material.gloss
     return {
         "coverage": share.astype(np.float32),
         "normal": np.where(length > 0, normal / np.where(length > 0, length, 1), 0).astype(np.float32),
         "depth": np.where(covered, depth, np.nan).astype(np.float32),
-        "albedo": (covered[..., None] * material.diffuse).astype(np.float32),
-        "gloss": (covered * material.alpha).astype(np.float32),
+        "albedo": albedo.astype(np.float32),
+        "gloss": gloss.astype(np.float32),
     }
 
 

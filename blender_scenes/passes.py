@@ -8,6 +8,7 @@ copies the passes while the result is at hand; should a version of Blender lack 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,20 @@ CHANNELS = {
     "GlossDir": "RGB",
     "GlossCol": "RGB",
 }
-"""The passes that are fetched, by Blender's short names, and their channels in order."""
+"""The passes that are always fetched, by Blender's short names, and their channels in order."""
+
+INDIRECT = {"DiffInd": "RGB", "GlossInd": "RGB"}
+"""Those that are fetched beside them where light passes from surface to surface."""
+
+OUTPUTS = {"albedo": "RGB", "gloss": "X"}
+"""Those that a material's graph writes itself where its values vary over the surface."""
 
 LONG = {
     "Diffuse Direct": "DiffDir",
+    "Diffuse Indirect": "DiffInd",
     "Diffuse Color": "DiffCol",
     "Glossy Direct": "GlossDir",
+    "Glossy Indirect": "GlossInd",
     "Glossy Color": "GlossCol",
     "Z": "Depth",
 }
@@ -42,22 +51,40 @@ LONG = {
 ROUTES = ("auto", "memory", "exr")
 
 
-def render(scene: Any, route: str = "auto") -> tuple[dict[str, Floats], str]:
+def switch_on(scene: Any, outputs: tuple[str, ...] = (), indirect: bool = False) -> dict[str, str]:
+    """Switch on the passes of the next render and return them with their channels.
+
+    outputs: names of `OUTPUTS` that the material writes. indirect: whether light passes from surface to surface.
+    """
+    layer = scene.view_layers[0]
+    for name in ("z", "normal", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"):
+        setattr(layer, f"use_pass_{name}", True)
+    layer.use_pass_diffuse_indirect = layer.use_pass_glossy_indirect = indirect
+    for there in [aov for aov in layer.aovs if aov.name not in outputs]:
+        layer.aovs.remove(there)
+    for name in outputs:
+        if name not in layer.aovs:
+            aov = layer.aovs.add()
+            aov.name, aov.type = name, "COLOR" if len(OUTPUTS[name]) > 1 else "VALUE"
+    return CHANNELS | (INDIRECT if indirect else {}) | {name: OUTPUTS[name] for name in outputs}
+
+
+def render(scene: Any, route: str = "auto", channels: Mapping[str, str] = CHANNELS) -> tuple[dict[str, Floats], str]:
     """Render the scene. Returns its passes (H, W, channels), rows top to bottom, and the route taken ("memory" or "exr").
 
-    route: "memory" or "exr" to insist on one, "auto" for memory with the file as fallback. Raises RuntimeError where Blender gave no
-    passes by the route asked for.
+    route: "memory" or "exr" to insist on one, "auto" for memory with the file as fallback. channels: the passes wanted, of
+    `switch_on`. Raises RuntimeError where Blender gave no passes by the route asked for.
     """
     if route in ("auto", "memory"):
-        passes = _from_memory()
+        passes = _from_memory(channels)
         if passes is not None:
             return passes, "memory"
         if route == "memory":
             raise RuntimeError("this Blender hands out no passes from memory; use the route exr")
-    return _from_file(scene), "exr"
+    return _from_file(scene, channels), "exr"
 
 
-def _from_memory() -> dict[str, Floats] | None:
+def _from_memory(channels: Mapping[str, str]) -> dict[str, Floats] | None:
     """Render and copy the passes out of the engine's result, or None where that is not possible."""
     bpy = blender()
     try:
@@ -81,7 +108,7 @@ def _from_memory() -> dict[str, Floats] | None:
         bpy.ops.render.render()
     finally:
         CyclesRender.render = original
-    return _complete(kept[-1]) if kept else None
+    return _complete(kept[-1], channels) if kept else None
 
 
 def _copy(result: Any) -> dict[str, Floats]:
@@ -95,14 +122,15 @@ def _copy(result: Any) -> dict[str, Floats]:
     return passes
 
 
-def _complete(passes: dict[str, Floats]) -> dict[str, Floats] | None:
+def _complete(passes: dict[str, Floats], channels: Mapping[str, str]) -> dict[str, Floats] | None:
     renamed = {LONG.get(name, name): array for name, array in passes.items()}
-    if any(name not in renamed for name in CHANNELS):
+    if any(name not in renamed for name in channels):
         return None
-    return {name: renamed[name] for name in CHANNELS}
+    # A colour output of a shader comes with a fourth channel.
+    return {name: renamed[name][..., : len(letters)] for name, letters in channels.items()}
 
 
-def _from_file(scene: Any) -> dict[str, Floats]:
+def _from_file(scene: Any, channels: Mapping[str, str]) -> dict[str, Floats]:
     bpy = blender()
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):
@@ -121,18 +149,18 @@ def _from_file(scene: Any) -> dict[str, Floats]:
         bpy.ops.render.render(write_still=True)
         if not path.is_file():
             raise RuntimeError("Blender rendered but wrote no file")
-        channels = read_multilayer(path)
+        found = read_multilayer(path)
     by_pass: dict[str, dict[str, Floats]] = {}
-    for name, array in channels.items():
+    for name, array in found.items():
         parts = name.split(".")
         if len(parts) >= 2:
             by_pass.setdefault(parts[-2], {})[parts[-1]] = array
     stacked = {}
     for name, letters in by_pass.items():
-        order = CHANNELS.get(LONG.get(name, name), "")
+        order = channels.get(LONG.get(name, name), "")
         if order and all(letter in letters for letter in order):
             stacked[name] = np.stack([letters[letter] for letter in order], axis=-1)
-    passes = _complete(stacked)
+    passes = _complete(stacked, channels)
     if passes is None:
-        raise RuntimeError(f"Blender's file lacks some of the passes {', '.join(CHANNELS)}; it has {', '.join(by_pass)}")
+        raise RuntimeError(f"Blender's file lacks some of the passes {', '.join(channels)}; it has {', '.join(by_pass)}")
     return passes

@@ -8,48 +8,126 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blender_scenes import layers
-from blender_scenes.camera import put_camera
+from blender_scenes.camera import crop_to, object_box, put_camera
+from blender_scenes.errors import JobError
 from blender_scenes.job import Job, Orthographic, parse
-from blender_scenes.light import aim, put_sun
-from blender_scenes.passes import render
-from blender_scenes.studio import put_mesh, take_out
-from blender_scenes.substrate import GAIN, set_light, substrate
+from blender_scenes.light import Light, Point, Rig, Sun
+from blender_scenes.materials import Material, Placed, Stand
+from blender_scenes.materials.lambertian import Lambertian
+from blender_scenes.materials.mirror import Mirror
+from blender_scenes.passes import render, switch_on
+from blender_scenes.studio import put_mesh, remove_material, sample_by, take_out
 
-RADIANCE = ("combined", "diffuse", "specular", "matte")
+Arrays = dict[str, NDArray[Any]]
 
 
-def shoot(scene: Any, job: object, route: str = "auto") -> tuple[dict[str, NDArray[np.float32]], str]:
+def shoot(scene: Any, job: object, route: str = "auto") -> tuple[Arrays, str]:
     """Render a job in a scene of `studio.empty_scene`, which is left empty again. Returns the layers and the route of the pixels.
 
     Arrays, rows top to bottom: coverage (H, W); normal (H, W, 3) unit, zero outside; depth (H, W) mm along -z from the camera, NaN
-    outside; albedo (H, W, 3); gloss (H, W); and of each light combined, diffuse, specular, matte (K, H, W, 3). Raises JobError where
-    the job is wrong.
+    outside; albedo (H, W, 3) of the matte twin; gloss (H, W) alpha. Of each picture, as the job's "layers" ask: combined, diffuse,
+    specular, matte (the Lambertian twin), ks0 (the picture with Ks = 0), mirror (the same shape as a perfect mirror), each (K, H, W, 3);
+    lit (K, H, W) share of the sub-samples that the light reaches, for pictures with one sun or point light (1 elsewhere); and always
+    sum_error (K,), the largest |combined - (diffuse + specular)| of any sub-sample over the largest combined. With "crop" the arrays hold
+    the pixels of box (4,): x0, y0, x1, y1, the last two exclusive. Raises JobError where the job is wrong.
     """
     checked = parse(job)
-    view = (0.0, 0.0, 1.0) if isinstance(checked.camera, Orthographic) else None
-    material, light = substrate(checked.material, view)
-    items = [put_mesh(scene, checked.posed_mesh(), material)]
+    asked = set(checked.layers)
+    if "lit" in asked and "matte" not in asked:
+        raise JobError("job: layers: lit needs matte")
+    box = object_box(checked) if checked.crop else (0, 0, checked.width, checked.height)
+    studio = _Studio(scene, checked, box, route)
     try:
-        items.append(put_camera(scene, checked))
-        items.append(put_sun(scene))
-        return _lights(scene, checked, items[-1], light, route)
+        separate = checked.material.own_twin or checked.bounces > 0
+        main = asked & {"combined", "diffuse", "specular"} | (set() if separate else asked & {"matte", "lit"})
+        shot = studio.pictures(checked.material, main, view=True)
+        if separate and "matte" in asked:
+            twin = studio.pictures(Lambertian(checked.material.albedo), {"diffuse"} | asked & {"lit"})
+            shot |= {"matte": twin.pop("diffuse"), **{key: twin[key] for key in asked & {"lit"}}}
+        if "ks0" in asked:
+            bare = checked.material.without_gloss()
+            if bare is None:
+                raise JobError("job: layers: ks0 means nothing for this material")
+            shot["ks0"] = studio.pictures(bare, {"combined"})["combined"]
+        if "mirror" in asked:
+            # One direction is reflected: far fewer samples do.
+            sample_by(scene, max(1, checked.samples // 8), checked.bounces, checked.seed)
+            shot["mirror"] = studio.pictures(Mirror(), {"combined"})["combined"]
     finally:
-        for item in reversed(items):
+        studio.close()
+    if checked.crop:
+        shot["box"] = np.array(box, np.int32)
+    return shot, studio.route
+
+
+class _Studio:
+    """The scene while one job is shot: the object in it, and the lights."""
+
+    def __init__(self, scene: Any, job: Job, box: tuple[int, int, int, int], route: str) -> None:
+        self.scene, self.job, self.box, self.route = scene, job, box, route
+        self.stand = Stand((0.0, 0.0, 1.0) if isinstance(job.camera, Orthographic) else None, job.rotation, job.translation)
+        self.items: list[Any] = []
+        self.rig = Rig(scene)
+        try:
+            self.object = put_mesh(scene, job.posed_mesh)
+            self.items.append(self.object)
+            self.items.append(put_camera(scene, job))
+            crop_to(scene, job, box)
+            sample_by(scene, job.samples, job.bounces, job.seed)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Leave the scene empty."""
+        self.rig.clear()
+        for item in reversed(self.items):
             take_out(item)
 
+    def pictures(self, material: Material, wanted: set[str], view: bool = False) -> Arrays:
+        """The wanted layers of every picture in one material. view: also what does not depend on the light, and sum_error."""
+        job, n = self.job, self.job.supersampling
+        placed = material.put(self.stand)
+        slots = self.object.data.materials
+        old = slots[0] if len(slots) else None
+        if old is None:
+            slots.append(placed.item)
+        else:
+            slots[0] = placed.item
+            remove_material(old)
+        x0, y0, x1, y1 = self.box
+        found: Arrays = {name: np.empty((len(job.lights), y1 - y0, x1 - x0, 3), np.float32) for name in wanted - {"lit"}}
+        if "lit" in wanted:
+            found["lit"] = np.ones((len(job.lights), y1 - y0, x1 - x0), np.float32)
+        errors = np.zeros(len(job.lights), np.float32)
+        for k, lights in enumerate(job.lights):
+            parts: Arrays = {}
+            # What holds for one light alone is added up: light is additive.
+            for group in [(light,) for light in lights] if material.one_light else [lights]:
+                passes = self._render(placed, group)
+                found_here, error = layers.radiance(passes, material, placed, wanted)
+                for name, part in found_here.items():
+                    parts[name] = parts[name] + part if name in parts else part
+                errors[k] = max(errors[k], error)
+                if view and k == 0 and "coverage" not in found:
+                    found |= layers.view(passes, material, n)
+            for name, part in parts.items():
+                found[name][k] = layers.block_mean(part, n)
+            if "lit" in wanted and len(lights) == 1 and isinstance(lights[0], Sun | Point):
+                found["lit"][k] = layers.lit(passes, n)
+        if view:
+            found["sum_error"] = errors
+        return found
 
-def _lights(scene: Any, job: Job, item: Any, node: Any, route: str) -> tuple[dict[str, NDArray[np.float32]], str]:
-    """The shot's arrays: only the light changes from render to render, so what belongs to the view is taken from the first."""
-    n, (height, width) = job.supersampling, (job.height, job.width)
-    shot = {name: np.empty((len(job.lights), height, width, 3), np.float32) for name in RADIANCE}
-    for k, sun in enumerate(job.lights):
-        aim(item, sun, GAIN)
-        set_light(node, sun.direction)
-        # With persistent data Blender must be told that something changed.
-        scene.update_tag()
-        passes, route = render(scene, route)
-        for name, array in layers.radiance(passes, job.material.diffuse).items():
-            shot[name][k] = layers.block_mean(array, n)
-        if k == 0:
-            shot.update(layers.view(passes, job.material, n))
-    return shot, route
+    def _render(self, placed: Placed, group: tuple[Light, ...]) -> dict[str, layers.Floats]:
+        self.rig.show(group, placed.gain)
+        if placed.aim is not None:
+            light = group[0]
+            assert isinstance(light, Sun | Point)
+            if isinstance(light, Sun):
+                placed.aim(light.direction, None)
+            else:
+                placed.aim(light.position, light.position)
+        names = switch_on(self.scene, placed.passes, indirect=self.job.bounces > 0)
+        passes, self.route = render(self.scene, self.route, names)
+        return passes

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from blender_scenes.errors import MissingBlender
+from blender_scenes.errors import JobError, MissingBlender
 from blender_scenes.shapes import Mesh
 from blender_scenes.versions import check_version
 
@@ -27,13 +27,14 @@ def blender() -> Any:
     return bpy
 
 
-def empty_scene(threads: int = 0) -> Any:
+def empty_scene(threads: int = 0, device: str = "cpu") -> Any:
     """A new scene with nothing in it, set for one exact sample a pixel, and its view layer's passes switched on. Returns the scene.
 
-    threads: of Cycles, 0 for all cores. Everything that was open in Blender before is discarded.
+    threads: of Cycles, 0 for all cores. device: "cpu", "gpu", or "auto" for a GPU where Cycles finds one; `scene.cycles.device` then says
+    which it is. Everything that was open in Blender before is discarded. Raises JobError where a GPU is asked for and there is none.
 
-    One sample at the pixel's centre (BOX filter of the least width, 0.01 px), direct light only: with a sun of angle 0 such a render
-    holds no noise, and the passes of a pixel are functions of one surface point.
+    One sample at the pixel's centre (further ones lie within a filter of the least width, 0.01 px), direct light only: with a sun of
+    angle 0 such a render holds no noise, and the passes of a pixel are functions of one surface point.
     """
     bpy = blender()
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -53,11 +54,12 @@ def empty_scene(threads: int = 0) -> Any:
     render.resolution_percentage = 100
     render.dither_intensity = 0.0
     cycles = scene.cycles
-    cycles.device = "CPU"
+    cycles.device = "CPU" if device == "cpu" or not _use_gpu(required=device == "gpu") else "GPU"
     cycles.samples = 1
     cycles.use_adaptive_sampling = False
     cycles.use_denoising = False
-    cycles.pixel_filter_type = "BOX"
+    # Not BOX: Blender makes that one a pixel wide whatever the width says. The first sample lies at the filter's middle.
+    cycles.pixel_filter_type = "BLACKMAN_HARRIS"
     cycles.filter_width = 0.01
     cycles.film_exposure = 1.0
     cycles.seed = 0
@@ -68,15 +70,48 @@ def empty_scene(threads: int = 0) -> Any:
     # Cycles would drop weak contributions at random, and blur the lobe of glossy surfaces.
     cycles.light_sampling_threshold = 0.0
     cycles.blur_glossy = 0.0
-    layer = scene.view_layers[0]
-    layer.name = "View"
-    for name in ("z", "normal", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"):
-        setattr(layer, f"use_pass_{name}", True)
+    scene.view_layers[0].name = "View"
     return scene
 
 
-def put_mesh(scene: Any, mesh: Mesh, material: Any) -> Any:
-    """A mesh, given in world coordinates, as an object of the scene. Returns the object; `take_out` removes it."""
+GPU_KINDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
+"""What Cycles can compute with beside the CPU, in the order in which they are tried."""
+
+
+def _use_gpu(required: bool) -> bool:
+    """Switch on the GPUs of the first kind that Cycles finds. Returns whether there is one."""
+    addon = blender().context.preferences.addons.get("cycles")
+    preferences: Any = None if addon is None else addon.preferences
+    for kind in GPU_KINDS if preferences is not None else ():
+        try:
+            preferences.compute_device_type = kind
+            devices = [item for item in preferences.get_devices_for_type(kind) if item.type == kind]
+        except (TypeError, ValueError):  # this Blender was built without that kind
+            continue
+        if devices:
+            for item in preferences.devices:
+                item.use = item.type == kind
+            return True
+    if required:
+        raise JobError("Cycles finds no GPU that it can render on; leave the device to auto, or say cpu")
+    return False
+
+
+def sample_by(scene: Any, samples: int, bounces: int, seed: int) -> None:
+    """Set how many samples are drawn at a point, how often light may pass from surface to surface, and the seed of both."""
+    cycles = scene.cycles
+    cycles.samples, cycles.seed = samples, seed
+    # Every pixel draws the same directions: what error there is is smooth (light from that many directions), where noise would be in its
+    # place, eight times as strong from pixel to pixel at 32 samples under a panorama.
+    cycles.sampling_pattern = "TABULATED_SOBOL" if samples > 1 else "AUTOMATIC"
+    cycles.scrambling_distance = 0.0 if samples > 1 else 1.0
+    # The tree of lights picks among many; where one sample meets one light it costs a tenth of the render and decides nothing.
+    cycles.use_light_tree = samples > 1
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
+
+
+def put_mesh(scene: Any, mesh: Mesh) -> Any:
+    """A mesh, given in world coordinates, as an object of the scene, without a material. Returns the object; `take_out` removes it."""
     bpy = blender()
     data = bpy.data.meshes.new("shape")
     corners = mesh.faces.shape[1]
@@ -93,7 +128,6 @@ def put_mesh(scene: Any, mesh: Mesh, material: Any) -> Any:
         # Free normals: taken as they stand, and unlike Blender's own smooth shading the same bits in every run.
         attribute = data.attributes.new("custom_normal", "FLOAT_VECTOR", "POINT")
         attribute.data.foreach_set("vector", mesh.normals.astype(np.float32).ravel())
-    data.materials.append(material)
     item = bpy.data.objects.new("shape", data)
     scene.collection.objects.link(item)
     # Where the light grazes, rays to the light start from the smooth surface that the normals describe, not from the facet under it:
@@ -123,4 +157,9 @@ def take_out(item: Any) -> None:
             collection.remove(data, do_unlink=True)
             break
     for material in materials:
-        bpy.data.materials.remove(material, do_unlink=True)
+        remove_material(material)
+
+
+def remove_material(material: Any) -> None:
+    """Remove a material of `blender_scenes.materials`."""
+    blender().data.materials.remove(material, do_unlink=True)

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from blender_scenes.errors import JobError
 
 
-def serve(source: int, sink: int, threads: int = 0, route: str = "auto") -> None:
+def serve(source: int, sink: int, threads: int = 0, route: str = "auto", device: str = "cpu") -> None:
     """Serve jobs from the file descriptor `source` to `sink` until the input closes.
 
-    threads: of Cycles, 0 for all cores. route: see `blender_scenes.passes.render`. Raises MissingBlender where there is no bpy.
+    threads: of Cycles, 0 for all cores. route: see `blender_scenes.passes.render`. device: see `blender_scenes.studio.empty_scene`. Raises
+    MissingBlender where there is no bpy, JobError where there is no such device.
     """
     for descriptor in (source, sink):
         try:
@@ -42,8 +43,8 @@ def serve(source: int, sink: int, threads: int = 0, route: str = "auto") -> None
     from blender_scenes.studio import blender, empty_scene
 
     version = blender().app.version_string.split()[0]
-    scene = empty_scene(threads)
-    _say(sink, {"ready": True, "blender": version, "device": "cpu", "pid": os.getpid()})
+    scene = empty_scene(threads, device)
+    _say(sink, {"ready": True, "blender": version, "device": scene.cycles.device.lower(), "pid": os.getpid()})
     for line in _lines(source):
         began = time.perf_counter()
         name: Any = None

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen.capture_lights import check_intensities, check_kinds, check_lights, check_positions, of_pictures
 from gen.errors import InputError
 
 Floats = NDArray[np.float32]
@@ -78,21 +79,25 @@ class Truth:
 
     normals: (H, W, 3) unit, zero outside the mask. depth: (H, W) metres along -z from the camera, NaN outside the mask.
     albedo: (H, W, 3). gloss: (H, W) alpha of the half-vector distribution, 0 where there is none.
-    diffuse, specular, matte, ks0: (K, H, W, 3) layers of each picture. shadow: (K, H, W) uint8, 1 attached, 2 cast.
+    specular_albedo: (H, W, 3) specular reflectance: Ks of the substrate, m_s of Blinn-Phong.
+    diffuse, specular, matte, ks0: (K, H, W, 3) layers of each picture. mirror: (K, H, W, 3) what the same surface shows as a mirror.
+    shadow: (K, H, W) uint8, 1 attached, 2 cast.
     """
 
     normals: Floats | None = None
     depth: Floats | None = None
     albedo: Floats | None = None
     gloss: Floats | None = None
+    specular_albedo: Floats | None = None
     diffuse: Floats | None = None
     specular: Floats | None = None
     matte: Floats | None = None
     ks0: Floats | None = None
+    mirror: Floats | None = None
     shadow: NDArray[np.uint8] | None = None
 
-    PER_VIEW = ("normals", "depth", "albedo", "gloss")
-    PER_LIGHT = ("diffuse", "specular", "matte", "ks0", "shadow")
+    PER_VIEW = ("normals", "depth", "albedo", "gloss", "specular_albedo")
+    PER_LIGHT = ("diffuse", "specular", "matte", "ks0", "mirror", "shadow")
 
     def names(self) -> list[str]:
         """The parts that are there."""
@@ -105,12 +110,15 @@ class Capture:
 
     images: (K, H, W, 3) float32 linear radiance. lights: (K, 3) unit vectors from the surface to the light, camera frame
     (x right, y up, z to the viewer). intensities: (K, 3) radiance of a white Lambertian surface facing the light.
+    light_kinds: one of `gen.capture_lights.KINDS` a picture, by default "sun". Light from many directions ("environment", "ambient",
+    "several") states the direction to the camera. positions: (K, 3) mm of near lights ("point", "area"), along the camera frame's axes
+    from where the camera looks, NaN rows where the light is distant; None where all are. Their intensity is that at the origin.
     mask: (H, W) bool. faults: (K, H, W) uint8 of `Fault` flags. names: one a picture.
     encoding: how the file's numbers became linear ("linear", "srgb"), as it was said or defaulted.
     source: where it came from, for reports. provenance: whatever else the source says of itself.
 
-    Raises InputError where shapes disagree, lights have no length, or the mask is empty. Whether the lights suffice for photometric stereo
-    is for the measurement to say (`recon.suitability`): a capture of one light is a capture too.
+    Raises InputError where shapes disagree, lights have no length, near ones no place, or the mask is empty. Whether the lights suffice
+    for photometric stereo is for the measurement to say (`recon.suitability`): a capture of one light is a capture too.
     """
 
     images: Floats
@@ -124,6 +132,8 @@ class Capture:
     encoding: str = "linear"
     source: str = "memory"
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    light_kinds: tuple[str, ...] = ()
+    positions: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -141,7 +151,9 @@ class Capture:
             raise InputError(f"{where}: the mask is empty; white pixels must mark the object")
         put("mask", mask)
         put("lights", check_lights(self.lights, K, where))
-        put("intensities", _check_intensities(self.intensities, K, where))
+        put("intensities", check_intensities(self.intensities, K, where))
+        put("light_kinds", check_kinds(self.light_kinds, K, where))
+        put("positions", check_positions(self.positions, self.light_kinds, where))
         faults = np.zeros((K, H, W), np.uint8) if self.faults is None else np.asarray(self.faults, dtype=np.uint8)
         if faults.shape != (K, H, W):
             raise InputError(f"{where}: faults must be {(K, H, W)}, got {faults.shape}")
@@ -210,6 +222,9 @@ class Capture:
             faults=self.faults[chosen],
             names=tuple(self.names[k] for k in chosen),
             truth=truth,
+            provenance=of_pictures(self.provenance, chosen, self.count),
+            light_kinds=tuple(self.light_kinds[k] for k in chosen),
+            positions=None if self.positions is None else self.positions[chosen],
         )
 
 
@@ -225,45 +240,10 @@ def read_capture(path: str | Path, encoding: str | None = None) -> Capture:
     return read(Path(path), encoding)
 
 
-def check_lights(lights: object, count: int, where: str) -> NDArray[np.float64]:
-    """Unit light directions (K, 3) from anything like them; InputError unless they are finite, have a length, and are one a picture."""
-    L = np.asarray(lights, dtype=np.float64)
-    if L.ndim != 2 or L.shape[1] != 3:
-        raise InputError(f"{where}: light directions must be rows of three numbers, got an array of shape {L.shape}")
-    if len(L) == 0 or count == 0:
-        raise InputError(f"{where}: there are no lights")
-    if len(L) != count:
-        raise InputError(f"{where}: {len(L)} light directions for {count} pictures; there must be one a picture")
-    if not np.isfinite(L).all():
-        raise InputError(f"{where}: light direction {int(np.argmin(np.isfinite(L).all(axis=1))) + 1} is not finite")
-    length = np.linalg.norm(L, axis=1)
-    if (length < 1e-9).any():
-        raise InputError(f"{where}: light direction {int(np.argmin(length)) + 1} has no length")
-    # A unit vector stays as it is, so that a capture read back, or changed in another part, keeps its lights bit for bit.
-    length[np.abs(length - 1) < 1e-12] = 1.0
-    unit: NDArray[np.float64] = L / length[:, None]
-    return unit
-
-
 def grey(images: NDArray[Any]) -> NDArray[Any]:
     """Luma (..., H, W) of linear pictures (..., H, W, 3): the one grey value that the solvers use."""
     result: NDArray[Any] = images @ LUMA.astype(images.dtype)
     return result
-
-
-def _check_intensities(given: object, count: int, where: str) -> NDArray[np.float64]:
-    if given is None:
-        return np.ones((count, 3))
-    E = np.asarray(given, dtype=np.float64)
-    if E.shape == (count,) or E.shape == (count, 1):
-        E = np.repeat(E.reshape(count, 1), 3, axis=1)
-    if E.shape != (count, 3):
-        raise InputError(
-            f"{where}: light intensities of shape {E.shape} for {count} pictures; there must be one or three a picture"
-        )
-    if not np.isfinite(E).all() or (E <= 0).any():
-        raise InputError(f"{where}: light intensities must be positive and finite")
-    return E
 
 
 def _check_truth(part: NDArray[Any] | None, name: str, lead: tuple[int, ...], where: str) -> None:

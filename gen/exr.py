@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,23 @@ HALF_MAX = 65504.0
 """The largest finite half-precision number."""
 
 
+OUTSIDE = "outside"
+"""The header attribute with what each channel holds outside the data window, as JSON."""
+
+
 def write_exr(
-    path: Path, channels: Mapping[str, NDArray[Any]], half: tuple[str, ...] = (), header: Mapping[str, Any] | None = None
+    path: Path,
+    channels: Mapping[str, NDArray[Any]],
+    half: tuple[str, ...] = (),
+    header: Mapping[str, Any] | None = None,
+    crop: bool = False,
 ) -> None:
     """Write named channels, each (H, W), as one ZIP-compressed scan-line EXR, by a temporary name.
 
-    half: names of the channels stored as half precision (10 mantissa bits, at most 65504); all others are float32.
-    header: extra attributes. Raises InputError where shapes differ or a half channel would overflow.
+    half: names of the channels stored as half precision (10 mantissa bits, at most 65504); all others are float32. header: extra
+    attributes. crop: store only the box of pixels outside which every channel holds one value, as the file's data window; the display
+    window is the whole picture, and `read_exr` gives it back bit for bit. Raises InputError where shapes differ or a half channel would
+    overflow.
     """
     import OpenEXR
 
@@ -39,11 +50,51 @@ def write_exr(
         # A non-contiguous array is written wrong without any error: hence ascontiguousarray.
         ready[name] = np.ascontiguousarray(array, dtype=np.float16 if name in half else np.float32)
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **dict(header or {})}
+    if crop:
+        attributes |= _cropped(ready)
     memory = io.BytesIO()  # the library knows neither every file name that Python does, nor a full disk
     with OpenEXR.File(attributes, ready) as file:
         file.write(memory)
     with writing(path) as temporary:
         temporary.write_bytes(memory.getbuffer())
+
+
+def _cropped(ready: dict[str, Any]) -> dict[str, Any]:
+    """Cut the channels to their common box, in place; the header's attributes that say so."""
+    (H, W), outside = next(iter(ready.values())).shape, {}
+    used = np.zeros((H, W), bool)
+    for name, array in ready.items():
+        corner = array[0, 0]
+        outside[name] = float(corner) if np.isfinite(corner) else str(corner)
+        used |= ~np.isnan(array) if np.isnan(corner) else array != corner
+    rows, columns = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
+    y0, y1 = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+    x0, x1 = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
+    for name, array in ready.items():
+        ready[name] = np.ascontiguousarray(array[y0 : y1 + 1, x0 : x1 + 1])
+    return {
+        "dataWindow": (np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)),
+        "displayWindow": (np.array([0, 0], np.int32), np.array([W - 1, H - 1], np.int32)),
+        OUTSIDE: json.dumps(outside, sort_keys=True),
+    }
+
+
+def _whole(header: Mapping[str, Any], name: str, pixels: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
+    """A channel of a file that `write_exr` cropped, in its whole picture; any other as it is."""
+    if OUTSIDE not in header:
+        return pixels
+    (x0, y0), (x1, y1) = ([int(v) for v in corner] for corner in header["dataWindow"])
+    (left, top), (right, bottom) = ([int(v) for v in corner] for corner in header["displayWindow"])
+    W, H = right + 1, bottom + 1
+    try:
+        value = float(json.loads(header[OUTSIDE])[name])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        value = 0.0
+    if (left, top) != (0, 0) or not (0 <= x0 <= x1 < W and 0 <= y0 <= y1 < H) or W * H > MAX_PIXELS:
+        raise InputError(f"{path}: its data window does not lie in its display window")
+    whole = np.full((H, W), value, np.float32)
+    whole[y0 : y1 + 1, x0 : x1 + 1] = pixels
+    return whole
 
 
 def read_exr(path: Path) -> dict[str, NDArray[Any]]:
@@ -71,7 +122,7 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
                     pixels = np.asarray(channel.pixels)
                     if pixels.ndim != 2:
                         raise InputError(f"{path}: channel {name} is not a plane of samples")
-                    channels[name] = pixels.astype(np.float32)
+                    channels[name] = _whole(part.header, name, pixels.astype(np.float32), path)
     except InputError:
         raise
     except Exception as error:

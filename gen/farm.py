@@ -10,8 +10,10 @@ import os
 import queue
 import shutil
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sized
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -20,6 +22,10 @@ from gen.parts import require
 from gen.worker import Worker, WorkerLost
 
 Job = Mapping[str, Any]
+
+DEVICES = ("auto", "cpu", "gpu")
+STARTS = 4
+"""How often a worker that is killed while it starts is started again before Blender counts as one that cannot be started."""
 
 
 @dataclass(frozen=True)
@@ -41,29 +47,45 @@ class Outcome:
     device: str = ""
 
 
+def find_blender(blender: str | None) -> str | None:
+    """The path of an installed Blender, or None for the bpy module. Raises InputError or MissingPart where it is not there."""
+    if blender is None:
+        require("bpy")
+        return None
+    found = shutil.which(blender)
+    if found is None:
+        raise InputError(f"--blender {blender}: there is no such program; give the path of Blender's executable")
+    return found
+
+
 class Farm:
     """Up to `workers` workers, kept between runs; a context manager that leaves no process behind.
 
     timeout: seconds a job may take. tries: how often a job is tried before it is reported as failed. jobs_per_worker: after so
-    many jobs a worker is replaced, since Blender's memory creeps.
+    many jobs a worker is replaced, since Blender's memory creeps. device: "auto", "cpu" or "gpu". threads: of each worker, by default
+    the cores shared out. scratch: a folder for what Blender leaves behind.
     """
 
     def __init__(
-        self, workers: int = 1, blender: str | None = None, timeout: float = 600.0, tries: int = 3, jobs_per_worker: int = 150
+        self,
+        workers: int = 1,
+        blender: str | None = None,
+        timeout: float = 600.0,
+        tries: int = 3,
+        jobs_per_worker: int = 150,
+        device: str = "cpu",
+        threads: int | None = None,
+        scratch: Path | None = None,
     ) -> None:
         if workers < 1:
             raise InputError(f"--workers {workers}: must be at least 1")
-        if blender is not None:
-            found = shutil.which(blender)
-            if found is None:
-                raise InputError(f"--blender {blender}: there is no such program; give the path of Blender's executable")
-            blender = found
-        else:
-            require("bpy")
+        if device not in DEVICES:
+            raise InputError(f"--device {device}: must be one of {', '.join(DEVICES)}")
         self.workers = workers
-        self._blender, self._timeout, self._tries, self._jobs_per_worker = blender, timeout, tries, jobs_per_worker
+        self._blender, self._timeout, self._tries, self._jobs_per_worker = find_blender(blender), timeout, tries, jobs_per_worker
+        self._device, self._scratch = device, scratch
         # Workers that each take every core get into each other's way.
-        self._threads_each = 0 if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
+        self._threads_each = threads if threads is not None else 0 if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._alive: set[Worker] = set()
@@ -84,45 +106,68 @@ class Farm:
         for worker in list(self._alive):
             self._drop(worker, gently=kind is None)
 
-    def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        """The outcome of each job, in the order in which they end. Job ids must differ.
+    def run(self, jobs: Iterable[Job]) -> Iterator[Outcome]:
+        """The outcome of each job, in the order in which they end. Ids of jobs that may run at once must differ.
 
-        Raises MissingPart (or InputError with --blender) where Blender cannot be started at all.
+        jobs: taken one by one, by any thread, as workers come free; and no more work is begun while outcomes wait to be taken, so any
+        number of them fits. Raises MissingPart (or InputError with --blender) where Blender cannot be started at all, and whatever
+        `jobs` raises.
         """
-        todo: queue.SimpleQueue[Job] = queue.SimpleQueue()
-        done: queue.SimpleQueue[Outcome | Exception] = queue.SimpleQueue()
-        for job in jobs:
-            todo.put(job)
+        todo, turn, over = iter(jobs), threading.Lock(), threading.Event()
+        done: queue.Queue[Outcome | Exception | None] = queue.Queue(self.workers)
+        count = min(self.workers, len(jobs)) if isinstance(jobs, Sized) else self.workers
         self._threads = [thread for thread in self._threads if thread.is_alive()]
-        for _ in range(min(self.workers, len(jobs))):
-            thread = threading.Thread(target=self._serve, args=(todo, done), daemon=True)
+        for _ in range(count):
+            thread = threading.Thread(target=self._serve, args=(todo, turn, done, over), daemon=True)
             self._threads.append(thread)
             thread.start()
-        for _ in jobs:
-            outcome = done.get()
-            if isinstance(outcome, Exception):
-                raise outcome
-            yield outcome
+        try:
+            while count:
+                outcome = done.get()
+                if isinstance(outcome, Exception):
+                    raise outcome
+                if outcome is None:
+                    count -= 1
+                else:
+                    yield outcome
+        finally:
+            over.set()
 
-    def _serve(self, todo: queue.SimpleQueue[Job], done: queue.SimpleQueue[Outcome | Exception]) -> None:
-        """A thread's life: take jobs until there are none, with one worker at a time."""
+    def _serve(
+        self,
+        todo: Iterator[Job],
+        turn: threading.Lock,
+        done: queue.Queue[Outcome | Exception | None],
+        over: threading.Event,
+    ) -> None:
+        """A thread's life: take jobs until there are none or nobody wants the outcomes (`over`), with one worker at a time."""
+
+        def give(outcome: Outcome | Exception | None) -> None:
+            while not (self._stop.is_set() or over.is_set()):
+                with suppress(queue.Full):
+                    done.put(outcome, timeout=0.1)
+                    break
+
         worker: Worker | None = None
         try:
-            while not self._stop.is_set():
-                try:
-                    job = todo.get_nowait()
-                except queue.Empty:
+            while not (self._stop.is_set() or over.is_set()):
+                with turn:
+                    job = next(todo, None)
+                if job is None:
                     break
                 outcome, worker = self._try(job, worker)
-                done.put(outcome)
+                give(outcome)
         except Exception as error:
-            done.put(error)
+            give(error)
         finally:
-            if worker is not None and worker.jobs_done >= self._jobs_per_worker:
+            with self._lock:
+                alive = worker is not None and worker in self._alive
+            if worker is not None and alive and worker.jobs_done >= self._jobs_per_worker:
                 self._drop(worker, gently=True)
-            elif worker is not None:
+            elif worker is not None and alive:
                 with self._lock:
                     self._idle.append(worker)
+            give(None)
 
     def _try(self, job: Job, worker: Worker | None) -> tuple[Outcome, Worker | None]:
         error = ""
@@ -131,7 +176,7 @@ class Farm:
                 self._drop(worker, gently=True)
                 worker = None
             try:
-                worker = worker or self._start()
+                worker = worker or self._start_again()
                 reply = worker.ask(job, self._timeout)
             except WorkerLost as lost:
                 error = f"the worker {lost}"
@@ -145,6 +190,23 @@ class Farm:
             if reply["ok"] or reply.get("kind") == "input":
                 return self._outcome(job, worker, reply, attempt), worker
         return Outcome(job, ok=False, error=error, kind="failure", tries=self._tries), worker
+
+    def _start_again(self) -> Worker:
+        """A worker that is ready, at the first start or a later one: a start that is lost is none of the job's tries.
+
+        Raises InputError where every start is lost, WorkerLost where the farm ends.
+        """
+        reason = ""
+        for _ in range(STARTS):
+            try:
+                return self._start()
+            except WorkerLost as lost:
+                if self._stop.is_set():
+                    raise
+                reason = str(lost)
+        raise InputError(
+            f"Blender does not start: the worker {reason}, {STARTS} times in a row; if memory is short, give fewer --workers"
+        )
 
     def _outcome(self, job: Job, worker: Worker, reply: Mapping[str, Any], attempt: int) -> Outcome:
         return Outcome(
@@ -166,7 +228,7 @@ class Farm:
                 raise WorkerLost("was stopped")
             if self._idle:
                 return self._idle.pop()
-            worker = Worker(self._blender, self._threads_each)
+            worker = Worker(self._blender, self._threads_each, device=self._device, scratch=self._scratch)
             self._alive.add(worker)
         try:
             worker.wait_until_ready()

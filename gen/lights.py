@@ -49,7 +49,9 @@ def scattered(count: int, max_tilt_degrees: float, min_spread_degrees: float, rn
     cos_edge, cos_spread = np.cos(np.radians([max_tilt_degrees, min_spread_degrees]))
     draws = 5000 + 20 * count
     tilt = np.degrees(np.arccos(rng.uniform(cos_edge, 1.0, draws)))
-    candidates = from_angles(tilt, rng.uniform(0.0, 360.0, draws))
+    azimuth = rng.uniform(0.0, 360.0, draws)
+    needed = draws if count > 1 else 1  # the first of them is always taken
+    candidates = from_angles(tilt[:needed], azimuth[:needed])
     chosen: list[Directions] = []
     while len(chosen) < count and len(candidates):
         chosen.append(candidates[0])

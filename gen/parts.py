@@ -143,6 +143,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "torch": ("torch", "safetensors"),
     "report": ("jinja2",),
     "playwright": ("playwright",),
+    "ray": ("ray",),
 }
 PARTS: dict[str, PartOf] = {
     part.name: part
@@ -172,6 +173,7 @@ PARTS: dict[str, PartOf] = {
                 "jinja2",
             ),
         ),
+        PartOf("ray", "rendering a set on a cluster: --engine ray", "pip install 'ray>=2.40'", _modules("ray"), False),
         PartOf("chromium", "the report's tests in a browser", "apt-get install -y chromium", _chromium, False),
         PartOf("playwright", "the report's tests in a browser", "pip install playwright", _modules("playwright"), False),
         PartOf(

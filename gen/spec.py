@@ -17,20 +17,19 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from gen.errors import InputError
+from gen.spec_faults import Faults, Noise
+from gen.spec_lights import LIGHT_KINDS, LIGHT_PATTERNS, Light, Lights, Ring
+from gen.spec_materials import Material, Substrate, complaint
+from gen.spec_materials import known_keys as material_keys
 from gen.spec_parts import (
     CAMERAS,
-    LIGHT_PATTERNS,
     Array,
     AutoExposure,
     Camera,
     Exposure,
-    Light,
-    Lights,
     Part,
     Pose,
-    Ring,
     Shape,
-    Substrate,
     Whole,
     YesNo,
 )
@@ -49,12 +48,29 @@ class Spec(Part):
     supersampling: Whole = Field(default=1, ge=1, le=8, description="n: every pixel is the mean of n x n exact samples")
     shape: Shape
     pose: Pose = Pose()
-    material: Substrate = Substrate()
+    material: Material = Substrate()
     lights: Lights = Ring(pattern="ring", count=4, tilt_degrees=35.0, frontal=True)
     camera: Camera
     exposure: Exposure = AutoExposure()
+    samples: Whole | None = Field(
+        default=None,
+        ge=1,
+        le=4096,
+        description="drawn at every sub-sample where light comes from many directions (default 64); suns and points need one",
+    )
+    bounces: Whole = Field(default=0, ge=0, le=16, description="how often light may pass from surface to surface")
+    ks0: YesNo = Field(default=False, description="also render the pictures with Ks = 0")
+    lime: YesNo = Field(
+        default=False,
+        description="also keep Ks of every pixel, and under surroundings the mirror image: what LIME's nets learn from",
+    )
+    crop: YesNo = Field(default=True, description="render only the box of pixels that holds the object; the rest is empty anyway")
+    half: YesNo = Field(default=False, description="store radiance in half precision: half the size, three digits")
     clip: YesNo = Field(
         default=False, description="cut the pictures at 1 as a sensor does, and mark what was cut; the truth stays whole"
+    )
+    faults: Faults | None = Field(
+        default=None, description="what a real set-up and its sensor do to the pictures and the stated lights"
     )
 
     @model_validator(mode="before")
@@ -80,29 +96,50 @@ class Spec(Part):
             )
         _check_shape(self)
         self.light_directions()  # the pattern may not fit
+        refused = complaint(self.material, self.pictures(), self.bounces, self.ks0, self.lime)
+        if refused is not None:
+            raise _At(*refused)
         return self
 
+    def pictures(self) -> tuple[Light, ...]:
+        """The light of each picture."""
+        return self.lights if isinstance(self.lights, tuple) else self.lights.lights(self.seed)
+
     def light_directions(self) -> Array:
-        """Unit vectors (K, 3) to the lights."""
-        if isinstance(self.lights, tuple):
-            given = np.array([light.direction for light in self.lights])
-            unit: Array = given / np.linalg.norm(given, axis=1, keepdims=True)
-            return unit
-        return self.lights.directions(self.seed)
+        """Unit vectors (K, 3) to the lights; toward the camera for light without a single direction."""
+        return np.array([light.toward() for light in self.pictures()])
 
     def light_intensities(self) -> Array:
         """Irradiance / pi of each light, (K, 3), before exposure."""
-        if isinstance(self.lights, tuple):
-            return np.array([light.intensity for light in self.lights])
-        return np.tile(np.array(self.lights.intensity), (len(self.light_directions()), 1))
+        return np.array([light.intensity for light in self.pictures()])
+
+    def light_kinds(self) -> tuple[str, ...]:
+        """The kind of each picture's light, a name in `LIGHT_KINDS`."""
+        return tuple(light.kind for light in self.pictures())
+
+    def light_positions(self) -> Array | None:
+        """(K, 3) mm of near lights, NaN where the light is distant; None where all are."""
+        places = [getattr(light, "position_mm", None) for light in self.pictures()]
+        return None if all(place is None for place in places) else np.array([place or (np.nan,) * 3 for place in places])
+
+    def draws(self) -> int:
+        """Samples drawn at every sub-sample."""
+        single = not self.bounces and set(self.light_kinds()) <= {"sun", "point"}
+        return self.samples or (1 if single else 64)
 
     def plain(self) -> dict[str, Any]:
         """The spec as plain values, defaults filled in; `Spec.model_validate` reads it back to an equal spec."""
         return self.model_dump(mode="json", exclude_none=True)
 
     def digest(self) -> str:
-        """SHA-256 of the spec with its defaults, in hexadecimal: equal for specs that mean the same capture."""
-        return hashlib.sha256(json.dumps(self.plain(), sort_keys=True).encode()).hexdigest()
+        """SHA-256 of the spec with its defaults, in hexadecimal: equal for specs that mean the same capture.
+
+        A mesh counts by its content, wherever its file lies.
+        """
+        plain = self.plain()
+        if self.shape.name == "mesh":
+            del plain["shape"]["file"]
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
     def yaml(self) -> str:
         """The spec as YAML that `read_spec` reads back."""
@@ -124,37 +161,48 @@ class _At(ValueError):
 
 
 def _check_shape(spec: Spec) -> None:
-    """Build the mesh once: what the shape refuses is refused here, and so is an object that reaches the camera."""
+    """Build the shape once, coarsely: what it refuses is refused here, and so is an object that reaches the camera."""
     from blender_scenes import shapes
+    from gen.shape_extent import box, reach
 
-    if spec.shape.name not in shapes.SHAPES:
-        raise _At("shape.name", f"unknown shape '{spec.shape.name}'; there are {', '.join(shapes.SHAPES)}")
-    known = tuple(shapes.parameters(spec.shape.name))
+    mesh = spec.shape.name == "mesh"
+    if not mesh and spec.shape.name not in shapes.SHAPES:
+        raise _At("shape.name", f"unknown shape '{spec.shape.name}'; there are {', '.join(shapes.SHAPES)}, mesh")
+    known = () if mesh else tuple(shapes.parameters(spec.shape.name))
     for key in spec.shape.parameters:
-        if key not in known:
+        if not mesh and key not in known:
             raise _At(f"shape.{key}", f"unknown parameter of {spec.shape.name}; there are {', '.join(known)}")
+    room = spec.camera.distance_mm - spec.pose.translation_mm[2]
+    forward = spec.pose.matrix()[2]
     try:
-        mesh = shapes.build(spec.shape.name, **spec.shape.parameters)
+        nearest = float((box(spec.shape.name, spec.shape.parameters) @ forward).max())
+        if nearest >= room:  # the box is a little larger than the shape
+            nearest = reach(spec.shape.name, spec.shape.parameters, forward)
     except ValueError as error:
         raise _At("shape", str(error).removeprefix(f"shape {spec.shape.name}: ")) from None
-    nearest = float((np.asarray(mesh.vertices) @ spec.pose.matrix().T)[:, 2].max()) + spec.pose.translation_mm[2]
-    if nearest >= spec.camera.distance_mm:
+    if nearest >= room:
+        nearest += spec.pose.translation_mm[2]
         raise _At("camera.distance_mm", f"the object reaches {nearest:g} mm toward the camera; put the camera farther than that")
 
 
 _SYNONYMS = {
     "Kd": "albedo", "kd": "albedo", "diffuse": "albedo", "color": "albedo", "colour": "albedo",
     "Ks": "specular", "ks": "specular", "remaproughness": "remap", "uroughness": "roughness",
+    "shininess": "exponent", "scale": "scale_mm", "sigma": "sigma_degrees",
     "width": "width_mm", "distance": "distance_mm", "focal": "focal_px", "fov": "fov_degrees", "tilt": "tilt_degrees",
-    "rotation": "rotation_degrees", "translation": "translation_mm", "samples": "supersampling", "size": "resolution",
+    "rotation": "rotation_degrees", "translation": "translation_mm", "position": "position_mm",
+    "diameter": "diameter_mm", "size": "resolution",
 }  # fmt: skip
 """What other programs call our keys, for the hint in an error."""
 
 
-def spec_from(data: Any, where: str) -> Spec:
-    """A Spec from plain values. where: named in the error. Raises InputError with the key path and what is allowed."""
+def spec_from(data: Any, where: str, folder: Path | None = None) -> Spec:
+    """A Spec from plain values. where: named in the error. folder: from which relative paths start, by default the working folder.
+
+    Raises InputError with the key path and what is allowed.
+    """
     try:
-        return Spec.model_validate(data)
+        return Spec.model_validate(data, context={"folder": folder})
     except ValidationError as error:
         raise first_complaint(error, data, where, _known_keys(data), _SYNONYMS) from None
 
@@ -164,14 +212,16 @@ def read_spec(path_or_preset: str | Path) -> Spec:
 
     Raises InputError, one line, where there is no such file or preset or where a key is missing, unknown or out of range.
     """
-    from gen.presets import preset_file, preset_names
+    from gen.presets import find_spec
 
-    path = Path(path_or_preset)
-    if not path.exists() and path.name == str(path_or_preset) and path.suffix not in (".yaml", ".yml"):
-        if str(path_or_preset) not in preset_names():
-            raise InputError(f"{path_or_preset}: is neither a file nor a preset; the presets are {', '.join(preset_names())}")
-        path = preset_file(str(path_or_preset))
-    return spec_from(read_yaml(path, "a capture spec"), str(path_or_preset))
+    path = find_spec(path_or_preset)
+    data = read_yaml(path, "a capture spec")
+    if "set" in data:
+        raise InputError(
+            f"{path_or_preset}: is the spec of a set of captures, one capture is wanted here; "
+            f"`degloss gen plan {path_or_preset}` shows its captures, `degloss gen render {path_or_preset} -o FOLDER` renders them all"
+        )
+    return spec_from(data, str(path_or_preset), path.parent)
 
 
 def with_seed(spec: Spec, seed: int) -> Spec:
@@ -189,13 +239,18 @@ def _known_keys(data: Any) -> dict[str, tuple[str, ...]]:
     models: dict[str, type[BaseModel]] = {
         "": Spec,
         "pose": Pose,
-        "material": Substrate,
-        "lights[]": Light,
         "exposure": AutoExposure,
+        "faults": Faults,
+        "faults.noise": Noise,
     }
     for section, tag, table in (("camera", "kind", CAMERAS), ("lights", "pattern", LIGHT_PATTERNS)):
         part = data.get(section) if isinstance(data, dict) else None
         chosen = table.get(str(part.get(tag))) if isinstance(part, dict) else None
         if chosen is not None:
             models[section] = chosen
-    return {section: tuple(model.model_fields) for section, model in models.items()}
+    known = {section: tuple(model.model_fields) for section, model in models.items()}
+    known |= material_keys(data.get("material") if isinstance(data, dict) else None)
+    given = data.get("lights") if isinstance(data, dict) else None
+    kinds = {light.get("kind", "sun") for light in given if isinstance(light, dict)} if isinstance(given, list) else {"sun"}
+    fields = [field for kind in sorted(map(str, kinds)) if kind in LIGHT_KINDS for field in LIGHT_KINDS[kind].model_fields]
+    return known | {"lights[]": tuple(dict.fromkeys(fields))}

@@ -1,4 +1,5 @@
-"""The parts of a capture's spec: frozen pydantic models of shape, pose, material, lights, camera and exposure."""
+"""The parts of a capture's spec: frozen pydantic models of shape, pose, camera and exposure. Lights: `gen.spec_lights`; materials:
+`gen.spec_materials`."""
 
 from __future__ import annotations
 
@@ -7,10 +8,18 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
-
-from gen import lights as patterns
-from gen.substrate import alpha_from_roughness
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 Array = NDArray[np.float64]
 
@@ -40,25 +49,22 @@ def _irradiance(value: tuple[float, float, float]) -> tuple[float, float, float]
     return value
 
 
-def _has_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+def has_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The vector; ValueError where it is nothing."""
     if math.hypot(*value) < 1e-9:
         raise ValueError("must not be [0, 0, 0]: a direction needs a length")
     return value
-
-
-def _direction(value: Any) -> Any:
-    return {"direction": value} if isinstance(value, list | tuple) else value
 
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Whole = Annotated[int, Field(strict=True)]
 YesNo = Annotated[bool, Field(strict=True)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(lambda v: _three(v, "three numbers [x, y, z]"))]
-_Colour = Annotated[
+Colour = Annotated[
     tuple[float, float, float], BeforeValidator(_colour, json_schema_input_type=float | tuple[float, float, float])
 ]
-Reflectance = Annotated[_Colour, AfterValidator(_reflectance)]
-Intensity = Annotated[_Colour, AfterValidator(_irradiance)]
+Reflectance = Annotated[Colour, AfterValidator(_reflectance)]
+Intensity = Annotated[Colour, AfterValidator(_irradiance)]
 
 
 class Part(BaseModel):
@@ -68,12 +74,42 @@ class Part(BaseModel):
 
 
 class Shape(BaseModel):
-    """A shape by name, its parameters beside the name; what is left out takes the shape's default."""
+    """A shape by name, its parameters beside the name; what is left out takes the shape's default.
+
+    The name mesh stands for a GLB, OBJ, STL or PLY file: `file` (a relative path starts from the spec's folder), size_mm, up and
+    smooth_degrees, see `gen.meshes.MeshFile`. Its sha256 is filled in here, so that the spec names the content.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow")
     __pydantic_extra__: dict[str, float | int | bool | str]
 
-    name: str = Field(description="name of the shape, such as cylinder or sphere")
+    name: str = Field(description="name of the shape, such as cylinder or sphere, or mesh for a file")
+    detail: tuple[dict[str, float | int | str], ...] | None = Field(
+        default=None, max_length=8, description="surface detail: {kind: grooves, pitch: 0.8, ...}; heights add up"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_is_named_by_its_content(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or data.get("name") != "mesh":
+            return data
+        from dataclasses import asdict
+
+        from gen.meshes import mesh_file
+
+        given = {key: value for key, value in data.items() if key not in ("name", "detail")}
+        found = asdict(mesh_file(given, (info.context or {}).get("folder")))
+        return {**data, **{key: value for key, value in found.items() if value is not None}}
+
+    @field_validator("detail", mode="before")
+    @classmethod
+    def _detail_is_known(cls, value: Any) -> Any:
+        if value is None:
+            return None
+        from blender_scenes.shapes.detail import checked_details
+
+        checked_details(value)
+        return value
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -95,106 +131,6 @@ class Pose(Part):
         rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
         product: Array = rz @ ry @ rx
         return product
-
-
-class Substrate(Part):
-    """Glossy plastic or paint: a diffuse base under a specular coat (pbrt-v3's FresnelBlend). Defaults: pbrt's."""
-
-    kind: Literal["substrate"] = "substrate"
-    albedo: Reflectance = Field(default=(0.5, 0.5, 0.5), description="Kd: diffuse reflectance, grey or [r, g, b]")
-    specular: Reflectance = Field(
-        default=(0.5, 0.5, 0.5), description="Ks: specular reflectance facing the surface, grey or [r, g, b]"
-    )
-    alpha: Number | None = Field(default=None, ge=0.001, le=10, description="width of the highlight itself; or say roughness")
-    roughness: Number | None = Field(default=None, gt=0, le=1, description="pbrt's roughness (default 0.1); or say alpha")
-    remap: YesNo | None = Field(default=None, description="whether roughness is remapped to alpha as pbrt does (default true)")
-
-    @model_validator(mode="after")
-    def _one_width(self) -> Substrate:
-        if self.alpha is not None and self.roughness is not None:
-            raise ValueError("alpha and roughness both say how wide the highlight is; keep one of them")
-        if self.alpha is not None and self.remap is not None:
-            raise ValueError("remap belongs to roughness; alpha is never remapped")
-        return self
-
-    def width(self) -> float:
-        """Alpha of the half-vector distribution."""
-        if self.alpha is not None:
-            return self.alpha
-        roughness = 0.1 if self.roughness is None else self.roughness
-        return roughness if self.remap is False else alpha_from_roughness(roughness)
-
-
-class Light(Part):
-    """One distant light. A bare [x, y, z] is a light of intensity 1."""
-
-    direction: Annotated[Vector, AfterValidator(_has_length)] = Field(description="towards the light; any length")
-    intensity: Intensity = Field(default=(1.0, 1.0, 1.0), description="irradiance / pi, grey or [r, g, b]")
-
-
-class _Pattern(Part):
-    count: Whole = Field(ge=1, le=1000)
-    intensity: Intensity = Field(default=(1.0, 1.0, 1.0), description="irradiance / pi of every light, grey or [r, g, b]")
-
-
-class Ring(_Pattern):
-    """Lights evenly around the optical axis, all at one tilt from it; with `frontal`, one more on the axis, first."""
-
-    pattern: Literal["ring"]
-    tilt_degrees: Number = Field(gt=0, lt=90)
-    start_degrees: Number = Field(default=0.0, ge=-360, le=360, description="azimuth of the first, counter-clockwise from +x")
-    frontal: YesNo = False
-
-    def directions(self, seed: int) -> Array:
-        return patterns.ring(self.count, self.tilt_degrees, self.frontal, self.start_degrees)
-
-
-class Hemisphere(_Pattern):
-    """Lights spread evenly over the cap up to a tilt (Fibonacci spiral)."""
-
-    pattern: Literal["hemisphere"]
-    max_tilt_degrees: Number = Field(default=60.0, gt=0, lt=90)
-
-    def directions(self, seed: int) -> Array:
-        return patterns.hemisphere(self.count, self.max_tilt_degrees)
-
-
-class Scattered(_Pattern):
-    """Lights drawn at random (by the spec's seed) over the cap up to a tilt, none closer to another than a minimum."""
-
-    pattern: Literal["random"]
-    max_tilt_degrees: Number = Field(default=60.0, gt=0, lt=90)
-    min_spread_degrees: Number = Field(default=15.0, ge=0, lt=90)
-
-    def directions(self, seed: int) -> Array:
-        return patterns.scattered(self.count, self.max_tilt_degrees, self.min_spread_degrees, np.random.default_rng(seed))
-
-
-LIGHT_PATTERNS: dict[str, type[_Pattern]] = {"ring": Ring, "hemisphere": Hemisphere, "random": Scattered}
-
-
-def _lights_kind(value: Any) -> str | None:
-    if isinstance(value, list | tuple):
-        return "explicit"
-    pattern = value.get("pattern") if isinstance(value, dict) else getattr(value, "pattern", None)
-    return pattern if isinstance(pattern, str) else None
-
-
-Explicit = Annotated[
-    tuple[Annotated[Light, BeforeValidator(_direction, json_schema_input_type=Vector | Light)], ...],
-    Field(min_length=1, max_length=1000),
-]
-Lights = Annotated[
-    Annotated[Explicit, Tag("explicit")]
-    | Annotated[Ring, Tag("ring")]
-    | Annotated[Hemisphere, Tag("hemisphere")]
-    | Annotated[Scattered, Tag("random")],
-    Discriminator(
-        _lights_kind,
-        custom_error_type="lights_kind",
-        custom_error_message=f"must be a list of directions, or hold 'pattern:' with one of {', '.join(LIGHT_PATTERNS)}",
-    ),
-]
 
 
 class Orthographic(Part):

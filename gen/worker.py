@@ -33,23 +33,31 @@ class Worker:
     """One Blender in a process of its own.
 
     blender: path of an installed Blender, or None for the bpy module in this Python. threads: of Cycles, 0 for all cores.
-    start_timeout: seconds until it must answer. Raises InputError where the program cannot be started at all.
+    start_timeout: seconds until it must answer. device: "auto", "cpu" or "gpu". scratch: a folder for what Blender leaves behind, by
+    default the system's. Raises InputError where the program cannot be started at all.
     """
 
-    def __init__(self, blender: str | None = None, threads: int = 0, start_timeout: float = 180.0) -> None:
+    def __init__(
+        self,
+        blender: str | None = None,
+        threads: int = 0,
+        start_timeout: float = 180.0,
+        device: str = "cpu",
+        scratch: Path | None = None,
+    ) -> None:
         self._buffer = b""
         self.jobs_done = 0
         self.info: Mapping[str, Any] = {}
         self._start_timeout = start_timeout
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - bpy prints here as it likes; closed in `kill`
+        self._log = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115 - bpy prints here as it likes; closed in `kill`
         self._scratch = tempfile.TemporaryDirectory(
-            prefix="degloss-blender-", ignore_cleanup_errors=True
+            prefix="degloss-blender-", dir=scratch, ignore_cleanup_errors=True
         )  # Blender leaves a folder of its own in TMPDIR
         jobs_out, self._to = os.pipe()
         self._from, replies_in = os.pipe()
         try:
             self._process = subprocess.Popen(
-                [*_command(blender), "--worker", "--in", str(jobs_out), "--out", str(replies_in), "--threads", str(threads)],
+                [*_command(blender), "--worker", *_options(jobs_out, replies_in, threads, device)],
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
@@ -163,6 +171,10 @@ def _command(blender: str | None) -> list[str]:
         return [sys.executable, "-P", "-m", "blender_scenes"]
     script = str(_package() / "__main__.py")
     return [blender, "-b", "--factory-startup", "--python-exit-code", "1", "--python", script, "--"]
+
+
+def _options(jobs: int, replies: int, threads: int, device: str) -> list[str]:
+    return ["--in", str(jobs), "--out", str(replies), "--threads", str(threads), "--device", device]
 
 
 def _environment(blender: str | None) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gen.capture import Capture, Fault, grey
+from gen.capture_lights import NEAR, WITHOUT_DIRECTION
 from gen.errors import InputError
 from recon.conditioning import require_spanning_lights
 
@@ -18,10 +19,17 @@ NOTEWORTHY_CLIPPED = 0.02
 def require_suitable(capture: Capture) -> None:
     """InputError where photometric stereo cannot work on a capture.
 
-    That is: fewer than three lights, lights in one plane or too much alike, every light behind the object, a picture without
-    a value, or hardly a sample that is not clipped.
+    That is: a picture under light without a single direction, fewer than three lights, lights in one plane or too much alike, every
+    light behind the object, a picture without a value, or hardly a sample that is not clipped.
     """
     where = capture.source
+    for name, kind in zip(capture.names, capture.light_kinds, strict=True):
+        if kind in WITHOUT_DIRECTION:
+            what = "several lights at once" if kind == "several" else f"{kind} light"
+            raise InputError(
+                f"{where}: picture {name} was taken under {what}, photometric stereo needs one direction a picture; "
+                "leave it out with --lights"
+            )
     require_spanning_lights(capture.lights, where)
     if (capture.lights[:, 2] <= 0).all():
         raise InputError(
@@ -58,6 +66,11 @@ def doubts(capture: Capture) -> list[str]:
     behind = int((capture.lights[:, 2] <= 0).sum())
     if behind:
         found.append(f"{behind} of {capture.count} lights come from behind the object (z <= 0): check their signs.")
+    near = sum(kind in NEAR for kind in capture.light_kinds)
+    if near:
+        found.append(
+            f"{near} of {capture.count} lights are near, and were solved as distant: expect the surface to come out bent."
+        )
     missing = float(((capture.faults & Fault.MISSING) > 0)[:, capture.mask].mean())
     if missing:
         found.append(f"{100 * missing:.2g} % of the object's samples hold no value and were left out.")

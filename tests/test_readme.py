@@ -14,6 +14,7 @@ import pytest
 
 from gen.capture import Capture
 from gen.formats.render_folder import write_render
+from gen.sets.set_spec import expand, set_from
 from gen.spec import spec_from
 from gen.strict_yaml import parse_yaml
 
@@ -26,9 +27,19 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
 
 
-def test_the_spec_is_one() -> None:
-    (text,) = blocks("yaml")
-    assert spec_from(parse_yaml(text, "README.md", "a spec"), "README.md").name == "my-cylinder"
+def test_the_specs_are_such() -> None:
+    capture, several = blocks("yaml")
+    assert spec_from(parse_yaml(capture, "README.md", "a spec"), "README.md").name == "my-cylinder"
+    found = set_from(parse_yaml(several, "README.md", "a set spec"), "README.md")
+    assert len(list(expand(found, "README.md"))) == found.total() == 40
+
+
+def test_every_material_and_preset_is_named() -> None:
+    from gen.presets import preset_names
+    from gen.spec_materials import MATERIALS
+
+    for name in [*MATERIALS, *preset_names("set")]:
+        assert f"`{name}`" in TEXT, name
 
 
 def test_every_shape_is_named() -> None:

@@ -53,7 +53,7 @@ def test_rendering_again_and_again_stays_bounded(runs: int) -> None:
     from gen.render import render
     from gen.spec import read_spec
 
-    spec = read_spec("smoke")
+    spec = read_spec("small-sphere")
     memory = []
     others = set(worker_memory())
     with Farm() as farm:

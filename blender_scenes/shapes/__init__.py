@@ -10,16 +10,16 @@ At rest a shape is centred on the origin of its own frame, x right, y up, z towa
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from blender_scenes.shapes.mesh import Mesh, Parameter, Range
+from blender_scenes.shapes.signature import checked, read_parameters
 
 SHAPES = {
     "capsule": "blender_scenes.shapes.capsule",
@@ -52,15 +52,10 @@ def parameters(name: str) -> dict[str, Parameter]:
 
     Raises ValueError where the name is unknown.
     """
-    function = _function(name)
-    hints = get_type_hints(function, include_extras=True)
-    found: dict[str, Parameter] = {}
-    for key, argument in inspect.signature(function).parameters.items():
-        hint = hints[key]
-        if get_origin(hint) is not Annotated or argument.default is inspect.Parameter.empty:
-            raise TypeError(f"shape {name}: parameter {key} needs Annotated[kind, Range(low, high)] and a default")
-        kind, limits = get_args(hint)[:2]
-        found[key] = Parameter(kind=kind, default=argument.default, low=limits.low, high=limits.high)
+    found = read_parameters(_function(name), f"shape {name}")
+    missing = set(inspect.signature(_function(name)).parameters) - set(found)
+    if missing:
+        raise TypeError(f"shape {name}: parameter {min(missing)} needs Annotated[kind, Range(low, high)] and a default")
     return found
 
 
@@ -69,12 +64,7 @@ def build(name: str, /, **values: Any) -> Mesh:
 
     Raises ValueError, one line, for unknown names, unknown parameters and values that are not finite or out of range.
     """
-    known = parameters(name)
-    for key, value in values.items():
-        if key not in known:
-            raise ValueError(f"shape {name}: unknown parameter {key}; it has {', '.join(known)}")
-        values[key] = _checked(name, key, value, known[key])
-    mesh: Mesh = _function(name)(**values)
+    mesh: Mesh = _function(name)(**checked(values, parameters(name), f"shape {name}"))
     return mesh
 
 
@@ -98,12 +88,3 @@ def _module(name: str) -> ModuleType:
 def _function(name: str) -> Callable[..., Mesh]:
     function: Callable[..., Mesh] = getattr(_module(name), name)
     return function
-
-
-def _checked(name: str, key: str, value: Any, parameter: Parameter) -> float:
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or not parameter.low <= value <= parameter.high:
-        raise ValueError(f"shape {name}: {key} must be a number from {parameter.low:g} to {parameter.high:g}, got {value!r}")
-    if parameter.kind is int and value != int(value):
-        raise ValueError(f"shape {name}: {key} must be a whole number, got {value!r}")
-    return parameter.kind(value)

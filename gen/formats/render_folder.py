@@ -1,10 +1,11 @@
 """Our own capture folder: everything that a Capture holds, in files that other programs read too, and bit for bit back.
 
     capture.json      what the files are: frames with light and intensity, scale, encoding, provenance
-    frames/001.exr    R G B A, diffuse.RGB, specular.RGB, matte.RGB, ks0.RGB, shadow.V, faults.V; float32, what there is of them
-    view.exr          normal.XYZ, depth.Z (metres), albedo.RGB, gloss.A; what there is of them
+    frames/001.exr    R G B A, diffuse.RGB, specular.RGB, matte.RGB, ks0.RGB, mirror.RGB, shadow.V, faults.V; float32, what there is
+    view.exr          normal.XYZ, depth.Z (metres), albedo.RGB, gloss.A, specular_albedo.RGB; what there is of them
     mask.png          white on the object
 
+A frame says the kind of its light where that is not a sun, and position_mm of a near one (see `gen.capture.Capture`).
 Where the pictures are the sum of their diffuse and specular parts, they are formed from the two on reading. The same
 capture gives the same bytes.
 """
@@ -35,8 +36,14 @@ UNITS = {
     "direction": "unit vector to the light",
     "intensity": "radiance of a white Lambertian surface facing the light",
 }
-COLOUR_LAYERS = ("diffuse", "specular", "matte", "ks0")
-VIEW_LAYERS = {"normals": ("normal", "XYZ"), "depth": ("depth", "Z"), "albedo": ("albedo", "RGB"), "gloss": ("gloss", "A")}
+COLOUR_LAYERS = ("diffuse", "specular", "matte", "ks0", "mirror")
+VIEW_LAYERS = {
+    "normals": ("normal", "XYZ"),
+    "depth": ("depth", "Z"),
+    "albedo": ("albedo", "RGB"),
+    "gloss": ("gloss", "A"),
+    "specular_albedo": ("specular_albedo", "RGB"),
+}
 
 
 def is_render(folder: Path) -> bool:
@@ -44,17 +51,19 @@ def is_render(folder: Path) -> bool:
     return (folder / INDEX).is_file()
 
 
-def write_render(capture: Capture, folder: Path, coverage: Floats | None = None) -> None:
+def write_render(capture: Capture, folder: Path, coverage: Floats | None = None, half: bool = False) -> None:
     """Write any capture as a folder of ours, which takes its place whole or not at all. See `write_files`."""
     with writing_folder(folder, "capture") as temporary:
-        write_files(capture, temporary, coverage)
+        write_files(capture, temporary, coverage, half)
 
 
-def write_files(capture: Capture, folder: Path, coverage: Floats | None = None) -> None:
+def write_files(capture: Capture, folder: Path, coverage: Floats | None = None, half: bool = False, crop: bool = False) -> None:
     """Write a capture's files into an existing folder.
 
     coverage: (H, W) share of each pixel that the object fills, for the pictures' alpha channel; the mask where not given.
-    Truth is stored as float32. Raises InputError where a layer has the wrong shape or the folder cannot be written.
+    half: radiance is stored in half precision (at most 65504, three digits), all else as float32. crop: the files' data windows are the
+    box that holds the object; see `gen.exr.write_exr`.
+    Raises InputError where a layer has the wrong shape or the folder cannot be written.
     """
     truth, (H, W), K = capture.truth, capture.size, capture.count
     _check_shapes(capture)
@@ -78,17 +87,15 @@ def write_files(capture: Capture, folder: Path, coverage: Floats | None = None) 
         if faulty:
             channels["faults.V"] = capture.faults[k]
         file = f"frames/{k + 1:03d}.exr"
-        write_exr(folder / file, channels)
-        frames.append(
-            {"name": capture.names[k], "file": file, "direction": capture.lights[k], "intensity": capture.intensities[k]}
-        )
+        write_exr(folder / file, channels, half=tuple(channels) if half else (), crop=crop)
+        frames.append({"name": capture.names[k], "file": file, **_light(capture, k)})
     view: dict[str, NDArray[Any]] = {}
     for name, (prefix, letters) in VIEW_LAYERS.items():
         layer = getattr(truth, name)
         if layer is not None:
             view |= unstack(prefix, letters, layer if layer.ndim == 3 else layer[..., None])
     if view:
-        write_exr(folder / "view.exr", view)
+        write_exr(folder / "view.exr", view, crop=crop)
     write_png(folder / "mask.png", np.where(capture.mask, 255, 0).astype(np.uint8))
     scale = capture.scale
     index = {
@@ -129,7 +136,7 @@ def read_render(folder: Path, encoding: str | None = None) -> Capture:
     if not 1 <= len(listed) <= MAX_FRAMES:
         raise InputError(f"{where}: frames must list 1 to {MAX_FRAMES} pictures, it lists {len(listed)}")
     faulty, summed = _get(index, "faults", bool, where), _get(index, "pictures", str, where) == "diffuse + specular"
-    lights, intensities, names, images, faults = [], [], [], [], []
+    lights, intensities, kinds, positions, names, images, faults = [], [], [], [], [], [], []
     layers: dict[str, list[NDArray[Any]]] = {}
     size: tuple[int, ...] | None = None
     for k, frame in enumerate(listed):
@@ -138,6 +145,8 @@ def read_render(folder: Path, encoding: str | None = None) -> Capture:
             raise InputError(f"{at}: must be an object")
         lights.append(_numbers(frame, "direction", at))
         intensities.append(_numbers(frame, "intensity", at))
+        kinds.append(_get(frame, "kind", str, at) if "kind" in frame else "sun")
+        positions.append(_numbers(frame, "position_mm", at) if "position_mm" in frame else [np.nan] * 3)
         names.append(_get(frame, "name", str, at))
         path = inside(folder, _get(frame, "file", str, at))
         channels = read_exr(path)
@@ -178,7 +187,19 @@ def read_render(folder: Path, encoding: str | None = None) -> Capture:
         encoding=_get(index, "encoding", str, where),
         source=str(folder),
         provenance=_get(index, "provenance", dict, where),
+        light_kinds=tuple(kinds),
+        positions=np.array(positions),
     )
+
+
+def _light(capture: Capture, k: int) -> dict[str, Any]:
+    """What the index says of a picture's light. A sun needs no more than direction and intensity."""
+    light: dict[str, Any] = {"direction": capture.lights[k], "intensity": capture.intensities[k]}
+    if capture.light_kinds[k] != "sun":
+        light["kind"] = capture.light_kinds[k]
+    if capture.positions is not None and np.isfinite(capture.positions[k]).all():
+        light["position_mm"] = capture.positions[k]
+    return light
 
 
 def _view(folder: Path, index: Mapping[str, Any], size: tuple[int, ...]) -> dict[str, Any]:
@@ -215,7 +236,10 @@ def _scale(given: Mapping[str, Any], where: Path) -> Scale:
 def _check_shapes(capture: Capture) -> None:
     """That every layer of the truth has the shape that its channels need (the Capture itself checks only what leads)."""
     truth, (H, W), K = capture.truth, capture.size, capture.count
-    wanted = {"normals": (H, W, 3), "depth": (H, W), "albedo": (H, W, 3), "gloss": (H, W), "shadow": (K, H, W)}
+    wanted: dict[str, tuple[int, ...]] = {
+        name: (H, W, 3) if len(letters) == 3 else (H, W) for name, (_, letters) in VIEW_LAYERS.items()
+    }
+    wanted |= {"shadow": (K, H, W)}
     wanted |= dict.fromkeys(COLOUR_LAYERS, (K, H, W, 3))
     for name, shape in wanted.items():
         layer = getattr(truth, name)
@@ -244,6 +268,6 @@ def _get(table: Mapping[str, Any], key: str, kind: type, where: object) -> Any:
 
 def _numbers(table: Mapping[str, Any], key: str, where: str) -> list[float]:
     value = _get(table, key, list, where)
-    if len(value) != 3 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
+    if len(value) != 3 or any(isinstance(v, bool) or not isinstance(v, int | float) or abs(v) > 1e300 for v in value):
         raise InputError(f"{where}: {key} must be three numbers")
-    return value
+    return [float(v) for v in value]

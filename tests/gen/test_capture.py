@@ -16,6 +16,10 @@ K, H, W = 4, 5, 6
 LIGHTS = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [-1, 0, 2.0]])
 
 
+KINDS = ("sun", "point", "ambient", "area")
+PLACES = np.array([[np.nan] * 3, [0, 100, 200], [np.nan] * 3, [-300, 0, 100]])
+
+
 def capture(**changes: Any) -> Capture:
     rng = np.random.default_rng(1)
     given: dict[str, Any] = {
@@ -36,6 +40,8 @@ def test_defaults() -> None:
     np.testing.assert_array_equal(c.intensities, np.ones((K, 3)))
     assert c.valid.all()
     assert c.scale.unit == "px"
+    assert c.light_kinds == ("sun",) * K
+    assert c.positions is None
     assert c.truth.names() == ["normals", "matte"]
 
 
@@ -71,6 +77,19 @@ def test_values_that_are_not_finite_become_missing() -> None:
         ({"images": np.full((K, H, W, 3), np.nan)}, "not one finite value"),
         ({"truth": Truth(normals=np.zeros((H, W + 1, 3), np.float32))}, "truth 'normals'"),
         ({"truth": Truth(matte=np.zeros((K - 1, H, W, 3), np.float32))}, "truth 'matte'"),
+        ({"truth": Truth(mirror=np.zeros((K - 1, H, W, 3), np.float32))}, "truth 'mirror'"),
+        ({"truth": Truth(specular_albedo=np.zeros((W, H, 3), np.float32))}, "truth 'specular_albedo'"),
+        ({"light_kinds": ("sun", "point")}, "2 kinds of light for 4 pictures"),
+        ({"light_kinds": ("sun", "sun", "moon", "sun")}, "light 3 is of the unknown kind 'moon'; there are sun, point, area"),
+        ({"light_kinds": ("sun", "point", "sun", "sun")}, "light 2 is of the kind 'point', but has no position"),
+        ({"light_kinds": KINDS, "positions": PLACES[:3]}, r"light positions of shape \(3, 3\)"),
+        ({"light_kinds": KINDS, "positions": PLACES * [[1], [0], [1], [1]]}, "light 2 stands at the origin"),
+        (
+            {"light_kinds": KINDS, "positions": np.add(PLACES, [[0], [np.inf], [0], [0]])},
+            "light 2 is of the kind 'point', but has no",
+        ),
+        ({"light_kinds": KINDS, "positions": np.ones((K, 3))}, "light 1 has a position, but is of the kind 'sun'"),
+        ({"positions": PLACES}, "light 2 has a position, but is of the kind 'sun'"),
     ],
 )
 def test_contradictions_are_refused_in_one_line(changes: dict[str, Any], why: str) -> None:
@@ -119,6 +138,26 @@ def test_select_takes_everything_that_belongs_to_a_picture() -> None:
         c.select([1, 1])
     with pytest.raises(InputError):
         c.select([])
+
+
+def test_lights_keep_their_kind_and_place() -> None:
+    mirror = np.arange(K, dtype=np.float32).reshape(K, 1, 1, 1) * np.ones((1, H, W, 3), np.float32)
+    c = capture(
+        light_kinds=KINDS,
+        positions=PLACES,
+        truth=Truth(mirror=mirror, specular_albedo=np.ones((H, W, 3), np.float32)),
+        provenance={"true_lights": [[0, 0, k] for k in (1, 2, 3, 4)], "other": [1, 2, 3, 4]},
+    )
+    part = c.select([3, 0])
+    assert part.light_kinds == ("area", "sun")
+    np.testing.assert_array_equal(part.positions, PLACES[[3, 0]])
+    np.testing.assert_array_equal(part.truth.mirror, mirror[[3, 0]])
+    assert part.truth.specular_albedo is c.truth.specular_albedo
+    assert part.provenance == {"true_lights": [[0, 0, 4], [0, 0, 1]], "other": [1, 2, 3, 4]}
+    other = c.with_images(mirror)
+    assert other.light_kinds == KINDS
+    np.testing.assert_array_equal(other.positions, PLACES)
+    assert c.select([0, 2]).positions is None
 
 
 def test_with_images_keeps_the_faults_unless_told() -> None:

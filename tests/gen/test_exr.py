@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gen.errors import InputError
 from gen.exr import HALF_MAX, read_exr, stack, unstack, write_exr
@@ -148,3 +150,29 @@ def test_a_hostile_size_is_refused_before_memory_is_taken(tmp_path: Path) -> Non
         path.write_bytes(bytes(data))
         with pytest.raises(InputError, match=r"a\.exr: is (larger|damaged)"):
             read_exr(path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_a_cropped_file_gives_the_whole_picture_back(tmp_path_factory: pytest.TempPathFactory, seed: int, half: bool) -> None:
+    """Also where all is one value, or all differs; and the library itself sees the windows."""
+    import OpenEXR
+
+    rng = np.random.default_rng(seed)
+    H, W = rng.integers(1, 9, 2)
+    (y0, y1), (x0, x1) = np.sort(rng.integers(0, H + 1, 2)), np.sort(rng.integers(0, W + 1, 2))
+    channels = {}
+    for name, outside in (("R", 0.0), ("depth.Z", np.nan), ("faults.V", 1.0)):
+        channels[name] = np.full((H, W), outside, np.float32)
+        channels[name][y0:y1, x0:x1] = rng.normal(size=(y1 - y0, x1 - x0)).astype(np.float16)
+    path = tmp_path_factory.mktemp("crop") / "a.exr"
+    write_exr(path, channels, half=("R",) if half else (), crop=True)
+    back = read_exr(path)
+    for name, array in channels.items():
+        assert np.array_equal(back[name], array, equal_nan=True), name
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        (left, top), (right, bottom) = file.header()["dataWindow"]
+        if (y0, x0) != (0, 0):  # the picture's corner shows what lies outside
+            assert (right - left + 1) * (bottom - top + 1) == max(1, (y1 - y0) * (x1 - x0))
+        assert [int(v) for v in file.header()["displayWindow"][1]] == [W - 1, H - 1]
+        assert file.channels()["R"].pixels.shape == (bottom - top + 1, right - left + 1)

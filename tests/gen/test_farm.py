@@ -5,12 +5,14 @@ The faults are played by a small program that speaks the worker's protocol and i
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,6 +37,8 @@ if (here / "broken").exists():
     sys.exit(1)
 with open(here / "pids", "a") as pids:
     pids.write(f"{{os.getpid()}}\\n")
+if (here / "mortal").exists() and len((here / "pids").read_text().split()) <= int((here / "mortal").read_text()):
+    os.kill(os.getpid(), 9)
 def say(reply):
     os.write(write, (json.dumps(reply) + "\\n").encode())
 say({{"ready": True, "blender": "0.0", "device": "cpu", "pid": os.getpid()}})
@@ -167,6 +171,50 @@ def test_no_orphans_when_the_parent_is_interrupted_or_killed(blender: Path, numb
         time.sleep(0.02)
     parent.send_signal(number)
     parent.wait(20)
+    assert all_gone(pids(blender))
+
+
+def test_a_kill_at_the_start_is_none_of_the_jobs_tries(blender: Path) -> None:
+    (blender.parent / "mortal").write_text("3")
+    with Farm(1, str(blender), tries=1) as farm:
+        assert [outcome.ok for outcome in farm.run(jobs("a", "b"))] == [True, True]
+    assert len(pids(blender)) == 4
+    (blender.parent / "mortal").write_text("1000")
+    with (
+        pytest.raises(InputError, match=r"does not start: the worker was ended by SIGKILL.*, 4 times in a row"),
+        Farm(1, str(blender)) as farm,
+    ):
+        list(farm.run(jobs("a")))
+
+
+def test_jobs_are_taken_as_they_are_needed(blender: Path) -> None:
+    """A generator of any length: no more is taken from it than the workers and the outcomes that wait can hold."""
+    taken = []
+
+    def endless() -> Iterator[dict[str, str]]:
+        for n in itertools.count():
+            taken.append(n)
+            yield {"id": f"a-{n}"}
+
+    with Farm(2, str(blender)) as farm:
+        for n, outcome in enumerate(farm.run(endless())):
+            assert outcome.ok
+            time.sleep(0.01)
+            assert len(taken) <= n + 1 + 2 * 2 + 2
+            if n == 50:
+                break
+        assert [outcome.job["id"] for outcome in farm.run(jobs("b"))] == ["b"]  # the workers are still good for others
+    assert all_gone(pids(blender))
+
+
+def test_what_the_generator_of_jobs_raises_ends_the_run(blender: Path) -> None:
+    def broken() -> Iterator[dict[str, str]]:
+        yield {"id": "a"}
+        raise KeyError("no more")
+
+    (blender.parent / "pids").touch()  # a worker may be ended before it has said its number
+    with pytest.raises(KeyError, match="no more"), Farm(2, str(blender)) as farm:
+        list(farm.run(broken()))
     assert all_gone(pids(blender))
 
 

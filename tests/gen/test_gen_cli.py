@@ -33,7 +33,7 @@ def test_presets_are_listed_with_what_they_are(capsys: pytest.CaptureFixture[str
     call("presets")
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == preset_names()
-    assert {"paper-cylinder", "paper-sphere", "polished-cylinder", "smoke"} <= set(preset_names())
+    assert {"paper-cylinder", "paper-sphere", "polished-cylinder", "small-sphere", "smoke"} <= set(preset_names())
     call("presets", "--json")
     assert list(json.loads(capsys.readouterr().out)) == preset_names()
 
@@ -47,16 +47,18 @@ def test_help_is_fast_and_loads_nothing_heavy() -> None:
     code = "import sys; import gen.cli; print(sorted({'numpy', 'pydantic', 'rich.progress', 'bpy', 'ruamel'} & set(sys.modules)))"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
-    took = []  # processor time: other work on the machine must not fail this
-    for _ in range(4):
-        began = resource.getrusage(resource.RUSAGE_CHILDREN)
-        code = "from gen.cli import app; app(['render', '--help'])"
-        run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-        ended = resource.getrusage(resource.RUSAGE_CHILDREN)
-        took.append(ended.ru_utime + ended.ru_stime - began.ru_utime - began.ru_stime)
-        for option in ("--output", "-o", "--workers", "--blender", "--json", "--seed", "SPEC"):
-            assert option in run.stdout
-    assert min(took) < 0.3, took
+    least = "import cyclopts; cyclopts.App(help_format='plaintext')(['--help'])"
+    ours = "from gen.cli import app; app(['render', '--help'])"
+    took: dict[str, list[float]] = {least: [], ours: []}
+    for _ in range(4):  # processor time, in turn: neither other work nor the machine's speed must fail this
+        for code, seconds in took.items():
+            began = resource.getrusage(resource.RUSAGE_CHILDREN)
+            run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+            ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+            seconds.append(ended.ru_utime + ended.ru_stime - began.ru_utime - began.ru_stime)
+    for option in ("--output", "-o", "--workers", "--blender", "--json", "--seed", "SPEC"):
+        assert option in run.stdout
+    assert min(took[ours]) < 2 * min(took[least]), took
 
 
 def test_bad_input_is_an_input_error_and_writes_nothing(tmp_path: Path) -> None:
@@ -67,11 +69,11 @@ def test_bad_input_is_an_input_error_and_writes_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the presets are"):
         call("render", "nothing", "-o", tmp_path / "out")
     with pytest.raises(InputError, match="--seed: seed: must be at least 0"):
-        call("render", "smoke", "-o", tmp_path / "out", "--seed=-1")
+        call("render", "small-sphere", "-o", tmp_path / "out", "--seed=-1")
     with pytest.raises(InputError, match="--workers 0"):
-        call("render", "smoke", "-o", tmp_path / "out", "--workers", "0")
+        call("render", "small-sphere", "-o", tmp_path / "out", "--workers", "0")
     with pytest.raises(InputError, match="--blender /no/blender"):
-        call("render", "smoke", "-o", tmp_path / "out", "--blender", "/no/blender")
+        call("render", "small-sphere", "-o", tmp_path / "out", "--blender", "/no/blender")
     assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gen.assemble import assemble
 from gen.capture import Capture, Fault, grey, read_capture
 from gen.errors import InputError
 from gen.farm import Farm
-from gen.render import assemble, jobs_of, render, render_capture
+from gen.render import jobs_of, render, render_capture
 from gen.spec import Spec, read_spec, spec_from
 from gen.substrate import shade
 
@@ -194,7 +195,9 @@ def shots(count: int = 3, seed: int = 0) -> list[dict[str, np.ndarray]]:
         "albedo": np.ones((H, W, 3), np.float32),
         "gloss": np.ones((H, W), np.float32),
     }
-    return [{**view, "diffuse": diffuse, "specular": specular, "matte": diffuse * 1.2, "combined": diffuse + specular}]
+    lit = np.ones((count, H, W), np.float32)
+    box = np.array([0, 0, W, H])
+    return [{**view, "diffuse": diffuse, "specular": specular, "matte": diffuse * np.float32(1.2), "lit": lit, "box": box}]
 
 
 @pytest.mark.parametrize(("percentile", "level"), [(90, 0.6), (100, 1.0), (50, 0.1)])

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from gen.capture import Capture, Scale, Truth, read_capture
+from gen.capture_lights import KINDS, NEAR
 from gen.errors import InputError
 from gen.exr import read_exr, write_exr
 from gen.formats.render_folder import is_render, read_render, write_render
@@ -31,6 +32,9 @@ def same(a: Capture, b: Capture) -> None:
         left, right = getattr(a, name), getattr(b, name)
         assert left.dtype == right.dtype, name
         assert left.tobytes() == right.tobytes(), name
+    assert a.light_kinds == b.light_kinds
+    assert (a.positions is None) == (b.positions is None)
+    assert a.positions is None or b.positions is None or a.positions.tobytes() == b.positions.tobytes()
     assert a.truth.names() == b.truth.names()
     for name in a.truth.names():
         left, right = getattr(a.truth, name), getattr(b.truth, name)
@@ -51,10 +55,12 @@ def captures(draw: st.DrawFn) -> Capture:
 
     wild = {"elements": any_float}
     layers: dict[str, Any] = {}
-    for name, shape in {"normals": (H, W, 3), "depth": (H, W), "albedo": (H, W, 3), "gloss": (H, W)}.items():
+    view = {"normals": (H, W, 3), "depth": (H, W), "albedo": (H, W, 3), "gloss": (H, W), "specular_albedo": (H, W, 3)}
+    assert set(view) == set(Truth.PER_VIEW)
+    for name, shape in view.items():
         if draw(st.booleans()):
             layers[name] = draw(npst.arrays(np.float32, shape, **wild))
-    for name in ("diffuse", "specular", "matte", "ks0"):
+    for name in ("diffuse", "specular", "matte", "ks0", "mirror"):
         if draw(st.booleans()):
             layers[name] = floats(K, H, W, 3)
     if draw(st.booleans()):
@@ -69,6 +75,9 @@ def captures(draw: st.DrawFn) -> Capture:
     mask = draw(npst.arrays(np.bool_, (H, W)))
     mask[0, 0] = True
     lights = draw(npst.arrays(np.float64, (K, 3), elements=st.floats(-1, 1))) + np.array([0, 0, 2])
+    kinds = tuple(draw(st.lists(st.sampled_from(KINDS), min_size=K, max_size=K)))
+    places = draw(npst.arrays(np.float64, (K, 3), elements=st.floats(-1e6, 1e6))) + np.array([0, 0, 2e6])
+    places[[kind not in NEAR for kind in kinds]] = np.nan
     camera = np.array([[draw(st.floats(1, 1e4)), 0, 1.5], [0, 7.25, 2], [0, 0, 1]])
     number = st.one_of(st.none(), st.floats(1e-6, 1e6))
     return Capture(
@@ -80,6 +89,8 @@ def captures(draw: st.DrawFn) -> Capture:
         names=tuple(draw(st.lists(st.text(max_size=8), min_size=K, max_size=K))),
         scale=Scale(draw(number), draw(st.sampled_from([None, camera])), draw(number)),
         truth=Truth(**layers),
+        light_kinds=kinds,
+        positions=places,
         encoding=draw(st.sampled_from(["linear", "srgb"])),
         provenance=draw(
             st.dictionaries(st.text(max_size=5), st.one_of(st.integers(), st.floats(-1e9, 1e9), st.text(), st.none()), max_size=3)
@@ -159,6 +170,18 @@ def test_the_same_capture_gives_the_same_bytes(capture: Capture, folder: Path, t
         assert (folder / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
+def test_a_sun_is_stored_as_ever_and_other_lights_with_their_kind(capture: Capture, folder: Path, tmp_path: Path) -> None:
+    frames = json.loads((folder / "capture.json").read_text())["frames"]
+    assert all(list(frame) == ["name", "file", "direction", "intensity"] for frame in frames)
+    kinds = ("sun", "point", "environment", "area", "several")
+    places = np.full((5, 3), np.nan)
+    places[1], places[3] = (0, 0.1, 200), (1 / 3, 0, 100)
+    write_render(replace(capture, light_kinds=kinds, positions=places), tmp_path / "other")
+    frames = json.loads((tmp_path / "other" / "capture.json").read_text())["frames"]
+    assert [frame.get("kind") for frame in frames] == [None, "point", "environment", "area", "several"]
+    assert [frame.get("position_mm") for frame in frames] == [None, [0, 0.1, 200], None, [1 / 3, 0, 100], None]
+
+
 def test_a_capture_of_the_wrong_shape_leaves_nothing(capture: Capture, tmp_path: Path) -> None:
     wrong = replace(capture, truth=replace(capture.truth, albedo=capture.truth.albedo[..., :2]))  # type: ignore[index]
     with pytest.raises(InputError, match=r"truth 'albedo' has the shape \(16, 16, 2\)"):
@@ -194,6 +217,12 @@ def set_in(folder: Path, *keys: Any, to: Any) -> None:
         (("frames", 1, "direction"), [0, 0, None], r"frames\[1\]: direction must be three numbers"),
         (("frames", 1, "intensity"), [1, 1, -1], "light intensities must be positive"),
         (("frames", 1, "intensity"), KeyError, r"frames\[1\]: intensity is missing"),
+        (("frames", 1, "direction"), [0, 0, 10**400], r"frames\[1\]: direction must be three numbers"),
+        (("frames", 1, "kind"), 3, r"frames\[1\]: kind is missing or not a text"),
+        (("frames", 1, "kind"), "lamp", "light 2 is of the unknown kind 'lamp'"),
+        (("frames", 1, "kind"), "point", "light 2 is of the kind 'point', but has no position"),
+        (("frames", 1, "position_mm"), [1, 2, 3], "light 2 has a position, but is of the kind 'sun'"),
+        (("frames", 1, "position_mm"), [1, 2], r"frames\[1\]: position_mm must be three numbers"),
         (("mask",), "../m.png", "leads out of the folder"),
         (("mask",), KeyError, "mask is missing or not a text"),
         (("view",), "frames/../../v.exr", "leads out of the folder"),

@@ -22,7 +22,7 @@ def read(text: str) -> Spec:
     return spec_from(parse_yaml(text, "f.yaml", "a spec"), "f.yaml")
 
 
-@pytest.mark.parametrize("name", preset_names())
+@pytest.mark.parametrize("name", preset_names("capture"))
 def test_presets_are_specs(name: str) -> None:
     spec = read_spec(name)
     assert spec.name == name
@@ -94,7 +94,7 @@ BAD = [
     ("material: {alpha: .1, remap: true}", "material: remap belongs to roughness"),
     ("material: {alpha: 0}", "material.alpha: must be at least 0.001, got 0"),
     ("material: {alpha: true}", "material.alpha: must be a number, got True"),
-    ("material: {kind: metal}", "material.kind: must be 'substrate', got 'metal'"),
+    ("material: {kind: wood}", "material: must hold 'kind:' with one of approximate-substrate, blinn-phong"),
     ("lights: []", "lights: must have at least 1 entries"),
     ("lights: 3", "lights: must be a list of directions, or hold 'pattern:' with one of ring"),
     ("lights: {pattern: rang}", "lights: must be a list of directions, or hold 'pattern:' with one of ring"),

@@ -1,0 +1,65 @@
+"""A bare Cycles loop over the shots of jobs, with the results thrown away: what a benchmark holds the whole product against.
+
+python -m blender_scenes.bare JOBS.json [--threads N]     prints the seconds of the loop, start-up left out, as the last line
+
+Scene, material, lights, crop and samples are those of the jobs; nothing is fetched from Blender, averaged, checked or written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from blender_scenes.camera import crop_to, object_box, put_camera
+from blender_scenes.job import Orthographic, parse
+from blender_scenes.light import Point, Rig, Sun
+from blender_scenes.materials import Stand
+from blender_scenes.passes import switch_on
+from blender_scenes.studio import blender, empty_scene, put_mesh, sample_by, take_out
+
+
+def loop(scene: Any, jobs: Sequence[object]) -> float:
+    """Render every picture of the jobs. Returns the seconds it took. Raises JobError where a job is wrong."""
+    bpy = blender()
+    began = time.perf_counter()
+    for given in jobs:
+        job = parse(given)
+        placed = job.material.put(Stand((0.0, 0.0, 1.0) if isinstance(job.camera, Orthographic) else None, job.rotation))
+        item, camera = put_mesh(scene, job.posed_mesh), put_camera(scene, job)
+        item.data.materials.append(placed.item)
+        crop_to(scene, job, object_box(job) if job.crop else (0, 0, job.width, job.height))
+        sample_by(scene, job.samples, job.bounces, job.seed)
+        switch_on(scene, placed.passes, indirect=job.bounces > 0)
+        rig = Rig(scene)
+        for lights in job.lights:
+            rig.show(lights, placed.gain)
+            if placed.aim is not None and isinstance(lights[0], Sun):
+                placed.aim(lights[0].direction, None)
+            elif placed.aim is not None and isinstance(lights[0], Point):
+                placed.aim(lights[0].position, lights[0].position)
+            bpy.ops.render.render()
+        rig.clear()
+        take_out(camera)
+        take_out(item)
+    return time.perf_counter() - began
+
+
+def main(arguments: Sequence[str]) -> None:
+    parser = argparse.ArgumentParser(prog="blender_scenes.bare", description="A bare Cycles loop over the shots of jobs.")
+    parser.add_argument("jobs", type=Path, help="a JSON list of jobs")
+    parser.add_argument("--threads", type=int, default=0, help="Cycles' threads (default: all cores)")
+    options = parser.parse_args(arguments)
+    jobs = json.loads(options.jobs.read_text(encoding="utf-8"))
+    scene = empty_scene(options.threads)
+    loop(scene, jobs[:1])
+    seconds = loop(scene, jobs)
+    print(f"\n{seconds:.4f}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

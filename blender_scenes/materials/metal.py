@@ -1,0 +1,51 @@
+"""Bare metal: one GGX lobe with a coloured F0 under Schlick's term, Smith's height-correlated masking, and no diffuse part.
+
+Its matte twin is a Lambertian surface of albedo F0, rendered on its own: what the same part would look like painted in the metal's colour.
+Radiance per unit of light intensity: pi D F(l.h) G / (4 mo); see `two_lobe` for the sources.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from blender_scenes.entries import Entries
+from blender_scenes.materials.base import Material, Placed, Stand
+from blender_scenes.materials.graph import GAIN, Graph, angles, glossy_closure
+from blender_scenes.materials.microfacet import ggx, schlick, seen
+from blender_scenes.materials.texture import painted, publish, value_or_texture
+
+
+@dataclass(frozen=True, eq=False)
+class Metal(Material):
+    """specular: (3,) F0 in [0, 1], also the twin's albedo. alpha: width of the lobe. Either may be a texture."""
+
+    specular: Any
+    alpha: Any
+
+    one_light: ClassVar[bool] = True
+    own_twin: ClassVar[bool] = True
+
+    @property
+    def albedo(self) -> Any:
+        return self.specular
+
+    @property
+    def gloss(self) -> Any:
+        return self.alpha
+
+    def put(self, stand: Stand) -> Placed:
+        graph = Graph("metal")
+        at = angles(graph, stand)
+        shine, alpha = painted(graph, stand, self.specular), painted(graph, stand, self.alpha)
+        lobe = graph.math("MULTIPLY", ggx(graph, at, alpha), seen(graph, at))
+        specular = graph.vector("MULTIPLY", schlick(graph, shine, at.ld), lobe)
+        passes = publish(graph, albedo=shine, gloss=alpha)
+        return Placed(graph.finish(glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
+
+
+def parse(entries: Entries) -> Metal:
+    """The material of a job's entry."""
+    return Metal(
+        specular=value_or_texture(entries, "specular", (3,), 0, 1), alpha=value_or_texture(entries, "alpha", (), 1e-3, 10)
+    )
