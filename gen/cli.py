@@ -175,9 +175,14 @@ def plan(
     json
         Print one JSON object on stdout in place of a sentence.
     """
+    import os
+
+    from gen.errors import InputError
     from gen.files import dumps
     from gen.sets.plan import write_plan
 
+    if os.path.isfile(spec) and os.path.realpath(output) == os.path.realpath(spec):
+        raise InputError(f"{output}: is the spec itself; choose another place with -o")
     made = _plan(spec, seed, limit)
     write_plan(made, output)
     if json:

@@ -24,6 +24,9 @@ from gen.worker import Worker, WorkerLost
 Job = Mapping[str, Any]
 
 DEVICES = ("auto", "cpu", "gpu")
+MAX_WORKERS = 1024
+"""Each has a thread here; more are a slip of the keyboard."""
+
 STARTS = 4
 """How often a worker that is killed while it starts is started again before Blender counts as one that cannot be started."""
 
@@ -45,6 +48,12 @@ class Outcome:
     tries: int = 1
     blender: str = ""
     device: str = ""
+
+
+def check_workers(workers: int) -> None:
+    """InputError unless so many Blenders may render at the same time: from 1 to `MAX_WORKERS`."""
+    if not 1 <= workers <= MAX_WORKERS:
+        raise InputError(f"--workers {workers}: must be from 1 to {MAX_WORKERS}")
 
 
 def find_blender(blender: str | None) -> str | None:
@@ -77,8 +86,7 @@ class Farm:
         threads: int | None = None,
         scratch: Path | None = None,
     ) -> None:
-        if workers < 1:
-            raise InputError(f"--workers {workers}: must be at least 1")
+        check_workers(workers)
         if device not in DEVICES:
             raise InputError(f"--device {device}: must be one of {', '.join(DEVICES)}")
         self.workers = workers

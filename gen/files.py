@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import IO, Any, TextIO
 
@@ -28,8 +28,10 @@ MAX_PIXELS = 200_000_000
 def writing(path: Path) -> Iterator[Path]:
     """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not.
 
-    Raises InputError where the folder cannot be written.
+    Raises InputError where the folder cannot be written, or `path` is a folder itself.
     """
+    if os.path.isdir(path):  # unlike Path.is_dir, which raises where a folder above may not be entered
+        raise InputError(f"{path}: is a folder; give the name of a file with -o")
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +40,8 @@ def writing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place with -o") from error
     finally:
-        temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
+        with suppress(OSError):  # what could not be written, for one, has no name to remove
+            temporary.unlink()
 
 
 @contextmanager

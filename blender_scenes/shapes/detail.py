@@ -17,7 +17,7 @@ from blender_scenes.shapes import detail_grooves, detail_marks, detail_roughness
 from blender_scenes.shapes.detail_fade import Fade, FadeAsking
 from blender_scenes.shapes.detail_field import Asking, Field
 from blender_scenes.shapes.detail_refinement import refined
-from blender_scenes.shapes.detail_surface import Surface, bent, invariants, spread, surface_of
+from blender_scenes.shapes.detail_surface import Surface, bent, invariants, shape_operator, spread, surface_of
 from blender_scenes.shapes.mesh import Mesh, Parameter
 from blender_scenes.shapes.signature import checked, read_parameters
 from blender_scenes.shapes.surface import Array
@@ -131,7 +131,8 @@ def _displaced(surface: Surface, given: Sequence[Field], fade: Fade) -> Mesh:
     points = surface.points + height[:, None] * mean
     n, h, g = surface.normals, height[surface.place][:, None], gradient[surface.place]
     g = g - (g * n).sum(axis=1, keepdims=True) * n
-    total, product = (value[:, None] for value in invariants(surface.bend))
+    bend = shape_operator(surface)
+    total, product = (value[:, None] for value in invariants(bend))
     # (I + hS)^-1 in the tangent plane, by Cayley and Hamilton.
-    along = ((1 + h * total) * g - h * bent(surface.bend, g)) / np.where(h == 0, 1.0, 1 + h * total + h * h * product)
+    along = ((1 + h * total) * g - h * bent(bend, g)) / np.where(h == 0, 1.0, 1 + h * total + h * h * product)
     return Mesh(points[surface.place], surface.faces().astype(np.int32), n - along)

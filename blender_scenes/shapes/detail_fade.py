@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blender_scenes.shapes.detail_field import Asking
-from blender_scenes.shapes.detail_surface import Indices, Surface, edges_of, sharpest, spread
+from blender_scenes.shapes.detail_surface import Indices, Surface, edges_of, shape_operator, sharpest, spread
 from blender_scenes.shapes.surface import Array
 
 SHARP_DEGREES = 2.0
@@ -180,7 +180,7 @@ def _sharp(surface: Surface) -> Array:
 
 def _narrow(surface: Surface, bound: float, apart: float) -> Array:
     """Segments (S, 2, 3) without length where the surface bends too narrowly, thinned to about one a cube of side `apart`."""
-    points = surface.points[np.unique(surface.place[sharpest(surface.bend) * bound > BEND])]
+    points = surface.points[np.unique(surface.place[sharpest(shape_operator(surface)) * bound > BEND])]
     _, first = np.unique(np.floor(points / apart).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first), None].repeat(2, axis=1)
 

@@ -166,7 +166,6 @@ def _split(surface: Surface, active: _Active, split: Flags, middles: Array) -> S
         points,
         place,
         np.concatenate([surface.normals, _mean_normal(surface, ends), _mean_normal(surface, corners)]),
-        np.concatenate([surface.bend, surface.bend[ends].mean(axis=1), surface.bend[corners].mean(axis=1)]),
         np.concatenate([surface.triangles[kept], three, cut]),
         np.concatenate([surface.quads[kept_quads], four, more]),
     )

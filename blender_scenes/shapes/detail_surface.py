@@ -24,14 +24,12 @@ WIDEST_DEGREES = 150.0
 class Surface:
     """Triangles and quads whose vertices name points: those of a sharp edge share a point, and each has its own normal.
 
-    points: (P, 3). place: (V,) the point of each vertex. normals: (V, 3) unit. bend: (V, 6) the derivative of the normal along the surface
-    (the shape operator, 1/mm, positive where convex) as xx, yy, zz, xy, yz, zx. triangles: (F, 3) vertices. quads: (Q, 4) vertices.
+    points: (P, 3). place: (V,) the point of each vertex. normals: (V, 3) unit. triangles: (F, 3) vertices. quads: (Q, 4) vertices.
     """
 
     points: Array
     place: Indices
     normals: Array
-    bend: Array
     triangles: Indices
     quads: Indices
 
@@ -85,7 +83,7 @@ def surface_of(mesh: Mesh) -> Surface:
     points, place = merged(vertices)
     corners = place[faces]
     faces = faces[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
-    return _paired(Surface(points, place, normals, _bend(points[place], normals, faces), faces, np.empty((0, 4), np.int64)))
+    return _paired(Surface(points, place, normals, faces, np.empty((0, 4), np.int64)))
 
 
 def edges_of(surface: Surface, triangles: Indices, quads: Indices) -> Edges:
@@ -158,8 +156,13 @@ def merged(vertices: Array) -> tuple[Array, Indices]:
     return vertices[first], place
 
 
-def _bend(points: Array, normals: Array, faces: Indices) -> Array:
-    """The shape operator at each vertex: of the linear normals over each face, averaged by area. points: of each vertex."""
+def shape_operator(surface: Surface) -> Array:
+    """The derivative of the normal along the surface at each vertex, (V, 6), as xx, yy, zz, xy, yz, zx; 1/mm, positive where convex.
+
+    Of the linear normals over each face, averaged by area over the faces at a vertex: so the finer the mesh, the nearer to an edge
+    between a flat and a round part it is right.
+    """
+    points, normals, faces = surface.points[surface.place], surface.normals, surface.faces()
     total, weight = np.zeros((len(points), 6)), np.zeros(len(points))
     for start in range(0, len(faces), 1 << 18):
         part = faces[start : start + (1 << 18)]
@@ -179,11 +182,14 @@ def _bend(points: Array, normals: Array, faces: Indices) -> Array:
         for corner in part.T:
             total += spread(packed, corner, len(points))
             weight += np.bincount(corner, area, len(points))
-    packed = total / np.maximum(weight, 1e-300)[:, None]
+    total /= np.maximum(weight, 1e-300)[:, None]
     # Only its action along the surface counts: (I - nn) S (I - nn).
-    matrix = packed[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
-    along = np.eye(3) - normals[:, :, None] * normals[:, None]
-    return (along @ matrix @ along)[:, [0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]]
+    for start in range(0, len(points), 1 << 18):
+        piece = slice(start, start + (1 << 18))
+        along = np.eye(3) - normals[piece, :, None] * normals[piece, None]
+        matrix = along @ total[piece][:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]] @ along
+        total[piece] = matrix[:, [0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]]
+    return total
 
 
 def _paired(surface: Surface) -> Surface:
@@ -212,4 +218,4 @@ def _paired(surface: Surface) -> Surface:
     sound &= cosine.min(axis=1, initial=1) > np.cos(np.radians(WIDEST_DEGREES))
     left = np.ones(len(faces), bool)
     left[pair[sound]] = False
-    return Surface(surface.points, surface.place, surface.normals, surface.bend, faces[left], quads[sound])
+    return Surface(surface.points, surface.place, surface.normals, faces[left], quads[sound])

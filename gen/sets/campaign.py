@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from gen.errors import InputError
-from gen.farm import DEVICES, Farm, Job, Outcome, find_blender
+from gen.farm import DEVICES, Farm, Job, Outcome, check_workers, find_blender
 from gen.files import dumps
 from gen.formats.render_folder import UNITS
 from gen.sets.events import record
@@ -54,8 +54,7 @@ class Engine:
     def __post_init__(self) -> None:
         if self.name not in ENGINES:
             raise InputError(f"--engine {self.name}: must be one of {', '.join(ENGINES)}")
-        if self.workers < 1:
-            raise InputError(f"--workers {self.workers}: must be at least 1")
+        check_workers(self.workers)
         if self.device not in DEVICES:
             raise InputError(f"--device {self.device}: must be one of {', '.join(DEVICES)}")
         if self.address is not None and self.name != "ray":

@@ -43,7 +43,10 @@ class Item:
 
     def capture_spec(self) -> Spec:
         """The spec, checked. Raises InputError, which names the item, where the plan's file was changed so that it is not valid."""
-        return spec_from(self.spec, f"plan: item {self.id}")
+        spec = spec_from(self.spec, f"plan: item {self.id}")
+        if self.single and len(spec.pictures()) != 1:
+            raise InputError(f"plan: item {self.id}: is single, and has {len(spec.pictures())} pictures; make it false")
+        return spec
 
     def line(self) -> str:
         """The item as its line of the file."""
@@ -174,7 +177,7 @@ def identities(spec: Spec) -> dict[str, str]:
     # Rounded: the last bit of a sine is not another light.
     lights = (_floats(light.job(), digits=7) for light in spec.pictures())
     return {
-        "object": _key([shape, plain.get("detail")]),
+        "object": _key(shape),
         "material_key": _key(spec.material.job()),
         "lights_key": _key(sorted(lights, key=json.dumps)),
     }
@@ -234,7 +237,10 @@ def _item(where: str, line: str) -> Item:
 
 
 def _json(line: str) -> Any:
+    """The value of a line, None where it is not JSON or holds a number that is not finite, which JSON has not."""
     try:
-        return json.loads(line)
+        value = json.loads(line)
+        json.dumps(value, allow_nan=False)
+        return value
     except (ValueError, RecursionError):
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -36,6 +37,9 @@ SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
+
+BACK_WITHIN = 60.0
+"""Seconds that an actor that died has to come back."""
 
 
 class Renderer:
@@ -66,6 +70,10 @@ class Renderer:
         except (InputError, OSError) as error:
             return error
         return ended
+
+    def answers(self) -> bool:
+        """True, for who wants to know whether the actor lives."""
+        return True
 
     def close(self) -> None:
         """Leave no process and no folder behind."""
@@ -101,6 +109,7 @@ def render_by_ray(folder: Path, items: Sequence[Item], engine: Engine, work: Pat
                     said = ray.get(answer)
                 except (RayActorError, RayTaskError) as error:
                     reason = _reason(error)
+                    _wait_for(renderer)
                     if tries < TRIES:
                         parts.append((part, tries + 1))
                     elif len(part) > 1:
@@ -114,6 +123,20 @@ def render_by_ray(folder: Path, items: Sequence[Item], engine: Engine, work: Pat
                     raise said
                 yield from said
         ray.wait([renderer.close.remote() for renderer in every], num_returns=len(every), timeout=10)
+
+
+def _wait_for(renderer: Any) -> None:
+    """Wait until an actor that died is back, a minute at most: what it is asked before that fails, and would count as a try."""
+    import ray
+    from ray.exceptions import GetTimeoutError, RayActorError
+
+    deadline = time.monotonic() + BACK_WITHIN
+    while time.monotonic() < deadline:
+        try:
+            ray.get(renderer.answers.remote(), timeout=5)
+            return
+        except (RayActorError, GetTimeoutError):
+            time.sleep(0.2)
 
 
 @contextmanager

@@ -163,6 +163,7 @@ def preview(
         sheet = contact_sheet(folder, count, seed, progress)
     if output is None:
         output = folder / "preview.png" if is_set_folder(folder) else Path(f"{folder.resolve().name}-preview.png")
+    _not_its_own(folder, output)
     write_png(output, sheet)
     print(f"{output}: {sheet.shape[1]}x{sheet.shape[0]} pixels")
 
@@ -211,12 +212,23 @@ def pack(
 
     names = DEFAULT_LAYERS if layers is None else _words(layers)
     with _progress("packing", "items") as progress:
+        _not_its_own(folder, output)
         done = pack_set(SetFolder(folder), output, size, names, dtype, split, kept_only, limit, progress)
     h, w = done.size
     if json:
         print(dumps({"file": str(output), "items": done.items, "frames": done.frames, "size": [w, h], "bytes": done.bytes}))
         return
     print(f"{output}: {_count(done.items, 'item')}, {_count(done.frames, 'picture')} of {w}x{h}, {done.bytes / 1e6:.1f} MB")
+
+
+def _not_its_own(folder: Path, output: Path) -> None:
+    """InputError where an output would take the place of a file that belongs to the set or capture itself."""
+    from gen.errors import InputError
+
+    place, root = output.resolve(), folder.resolve()
+    own = place.suffix in (".json", ".jsonl", ".yaml", ".exr", "") or place.name == "mask.png"
+    if place.is_relative_to(root) and (own or len(place.relative_to(root).parts) > 1):
+        raise InputError(f"{output}: may be one of the files of {folder} itself; choose another place with -o")
 
 
 def _words(text: str) -> tuple[str, ...]:

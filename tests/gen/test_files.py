@@ -60,6 +60,24 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, writer: obje
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_name_that_is_too_long_is_one_line(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match=r"cannot be written \(.*\); choose another place"),
+        writing(tmp_path / ("a" * 300)) as name,
+    ):
+        name.write_text("x")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", [".", "/", "here"])
+def test_a_folder_is_no_place_for_a_file(tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("here").mkdir()
+    with pytest.raises(InputError, match=r": is a folder; give the name of a file with -o"), writing(Path(place)):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["here"]
+
+
 def test_writing_folder_replaces_only_its_own(tmp_path: Path) -> None:
     target = tmp_path / "out"
     for text in ("one", "two"):

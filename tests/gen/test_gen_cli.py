@@ -74,7 +74,18 @@ def test_bad_input_is_an_input_error_and_writes_nothing(tmp_path: Path) -> None:
         call("render", "small-sphere", "-o", tmp_path / "out", "--workers", "0")
     with pytest.raises(InputError, match="--blender /no/blender"):
         call("render", "small-sphere", "-o", tmp_path / "out", "--blender", "/no/blender")
+    with pytest.raises(InputError, match="--workers 100000: must be from 1 to 1024"):
+        call("render", "smoke", "-o", tmp_path / "out", "--workers", "100000")
     assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_a_plan_does_not_overwrite_its_spec(tmp_path: Path) -> None:
+    spec = tmp_path / "set.yaml"
+    spec.write_bytes((ROOT / "gen/presets/smoke.yaml").read_bytes())
+    before = spec.read_bytes()
+    with pytest.raises(InputError, match=r"set\.yaml: is the spec itself; choose another place with -o"):
+        call("plan", spec, "-o", tmp_path / "." / "set.yaml")
+    assert spec.read_bytes() == before
 
 
 @pytest.mark.render

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blender_scenes.shapes import SHAPES, Mesh, build, detail_refinement
+from blender_scenes.shapes import SHAPES, Mesh, build, detail_refinement, detail_roughness
 from blender_scenes.shapes.detail import (
     DETAILS,
     add_detail,
@@ -90,8 +90,7 @@ def test_a_sphere_with_detail_has_the_normals_of_its_radius_function(kind: str) 
 
     gradient = np.stack([(radius(u + step) - radius(u - step)) / 2e-5 for step in 1e-5 * np.eye(3)], axis=1)
     error = angles(mesh.normals, r[:, None] * u - gradient)
-    assert error.max() < 0.1
-    assert np.percentile(error, 99) < 0.05
+    assert error.max() < 0.05  # measured: 0.011 at the most
     # Without the curvature, that is with n - grad h, it would be off.
     slope = height(R * u)[1]
     assert angles(mesh.normals, u - slope + (slope * u).sum(axis=1, keepdims=True) * u).max() > (
@@ -184,16 +183,19 @@ def test_details_add_up_and_are_the_same_twice(name: str) -> None:
     assert add_detail(plain(name), []) is plain(name)
 
 
-def test_normals_are_those_of_a_finer_mesh() -> None:
-    """The mean angle between faces and their vertices' normals falls with the facets' size: the normals are the limit."""
+def test_normals_are_those_of_a_finer_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One surface on finer and finer meshes: the mean angle between a face and its vertices' mean normal falls with the facets' size."""
+    base = build("sphere", radius=6, segments=96)
     found = []
-    for parts in (1.0, 0.5, 0.25):
-        mesh = add_detail(build("rounded_box"), [{"kind": "roughness", "wavelength": 12.0 * parts, "rms": 0.04 * parts}])
+    for parts in (10, 20, 40):
+        monkeypatch.setattr(detail_roughness, "PARTS", parts)
+        mesh = add_detail(base, [{"kind": "roughness", "wavelength": 4.0, "rms": 0.08}])
         p = mesh.vertices[mesh.faces]
         cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         area = np.linalg.norm(cross, axis=1)
         found.append((angles(mesh.normals[mesh.faces].sum(axis=1), cross) * area).sum() / area.sum())
-    assert max(found) < 0.35
+    assert found[1] < 0.65 * found[0]
+    assert found[2] < 0.65 * found[1]
 
 
 def test_new_points_lie_on_the_smooth_surface() -> None:

@@ -187,6 +187,8 @@ DAMAGED = [
     (changed(2, single=1), "line 3: split must be null or one of train"),
     (changed(3, spec=[1]), "line 4: spec must be a capture spec whose name is the item's id"),
     (changed(3, spec={"name": "other"}), "line 4: spec must be a capture spec whose name is the item's id"),
+    ("\n".join([*LINES, ""]).replace('"bounces": 0', '"bounces": NaN', 1), "line 2: is not an item"),
+    ("\n".join([*LINES, ""]).replace('"bounces": 0', '"bounces": 1e999', 1), "line 2: is not an item"),
     ("[" * 100_000, "is not a plan"),
 ]
 
@@ -206,6 +208,13 @@ def test_a_spec_changed_in_the_file_is_refused_when_it_is_used(tmp_path: Path) -
     path = tmp_path / "plan.jsonl"
     path.write_text(changed(1, spec={**SMOKE.items[0].spec, "supersampling": 99}))
     with pytest.raises(InputError, match="plan: item captures-000000: supersampling: must be at most 8, got 99"):
+        read_plan(path).items[0].capture_spec()
+
+
+def test_a_single_item_has_one_picture(tmp_path: Path) -> None:
+    path = tmp_path / "plan.jsonl"
+    path.write_text(changed(1, single=True))
+    with pytest.raises(InputError, match="plan: item captures-000000: is single, and has 3 pictures"):
         read_plan(path).items[0].capture_spec()
 
 

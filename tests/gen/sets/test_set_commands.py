@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from gen.cli import app
+from gen.errors import InputError
 from gen.sets.pack import read_pack
+from gen.sets.set_folder import SetFolder
 from tests.gen.sets.set_runs import run
 
 RENDERED = """\
@@ -96,3 +98,12 @@ def test_from_a_rendered_set_to_a_pack(tmp_path: Path, capsys: pytest.CaptureFix
     assert code == 2
     assert out.startswith("items/near-000000/mask.png: has 1 bytes, ")
     assert err.splitlines() == [f"degloss: {folder}: 1 fault found; render what is damaged again"]
+
+
+@pytest.mark.parametrize("name", ["index.jsonl", "set.json", "items/new.png", "items", "mask.png"])
+@pytest.mark.parametrize("command", ["preview", "pack"])
+def test_nothing_is_written_over_the_set(set_folder: SetFolder, command: str, name: str) -> None:
+    before = {path: path.read_bytes() for path in set_folder.path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match="may be one of the files of"):
+        call(command, set_folder.path, "-o", set_folder.path / name)
+    assert {path: path.read_bytes() for path in set_folder.path.rglob("*") if path.is_file()} == before
