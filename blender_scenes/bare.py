@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from blender_scenes.camera import crop_to, object_box, put_camera
-from blender_scenes.job import Orthographic, parse
-from blender_scenes.light import Point, Rig, Sun
-from blender_scenes.materials import Stand
+from blender_scenes.job import parse
+from blender_scenes.light import Rig, tell
 from blender_scenes.passes import switch_on
 from blender_scenes.studio import blender, empty_scene, put_mesh, sample_by, take_out
 
@@ -29,7 +28,7 @@ def loop(scene: Any, jobs: Sequence[object]) -> float:
     began = time.perf_counter()
     for given in jobs:
         job = parse(given)
-        placed = job.material.put(Stand((0.0, 0.0, 1.0) if isinstance(job.camera, Orthographic) else None, job.rotation))
+        placed = job.material.put(job.stand)
         item, camera = put_mesh(scene, job.posed_mesh), put_camera(scene, job)
         item.data.materials.append(placed.item)
         crop_to(scene, job, object_box(job) if job.crop else (0, 0, job.width, job.height))
@@ -38,10 +37,7 @@ def loop(scene: Any, jobs: Sequence[object]) -> float:
         rig = Rig(scene)
         for lights in job.lights:
             rig.show(lights, placed.gain)
-            if placed.aim is not None and isinstance(lights[0], Sun):
-                placed.aim(lights[0].direction, None)
-            elif placed.aim is not None and isinstance(lights[0], Point):
-                placed.aim(lights[0].position, lights[0].position)
+            tell(placed, lights[0])
             bpy.ops.render.render()
         rig.clear()
         take_out(camera)

@@ -34,7 +34,7 @@ from blender_scenes import shapes
 from blender_scenes.entries import Entries, Numbers
 from blender_scenes.errors import JobError
 from blender_scenes.light import Light, Point, Sun, parse_light
-from blender_scenes.materials import Material
+from blender_scenes.materials import Material, Stand
 from blender_scenes.materials import parse as parse_material
 from blender_scenes.mesh_file import read_mesh
 from blender_scenes.shapes.detail import add_detail, checked_details
@@ -86,6 +86,11 @@ class Job:
     layers: tuple[str, ...] = LAYERS[:4]
     crop: bool = False
     out: str | None = None
+
+    @property
+    def stand(self) -> Stand:
+        """How the object stands before the camera."""
+        return Stand((0.0, 0.0, 1.0) if isinstance(self.camera, Orthographic) else None, self.rotation, self.translation)
 
     @cached_property
     def posed_mesh(self) -> shapes.Mesh:

@@ -22,6 +22,7 @@ import numpy as np
 
 from blender_scenes.entries import Entries, Numbers
 from blender_scenes.errors import JobError
+from blender_scenes.materials.base import Placed
 from blender_scenes.studio import blender, take_out
 
 
@@ -97,6 +98,14 @@ def parse_light(entries: Entries) -> Light:
             light = Area(position, entries.number("diameter", low=1e-3, high=1e6), intensity)
     entries.close()
     return light
+
+
+def tell(placed: Placed, light: Light) -> None:
+    """Tell a graph that holds for one light, a sun or a point light, where that is."""
+    if placed.aim is not None and isinstance(light, Sun):
+        placed.aim(light.direction, None)
+    elif placed.aim is not None and isinstance(light, Point):
+        placed.aim(light.position, light.position)
 
 
 class Rig:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from blender_scenes import layers
 from blender_scenes.camera import crop_to, object_box, put_camera
 from blender_scenes.errors import JobError
-from blender_scenes.job import Job, Orthographic, parse
-from blender_scenes.light import Light, Point, Rig, Sun
-from blender_scenes.materials import Material, Placed, Stand
+from blender_scenes.job import Job, parse
+from blender_scenes.light import Light, Point, Rig, Sun, tell
+from blender_scenes.materials import Material, Placed
 from blender_scenes.materials.lambertian import Lambertian
 from blender_scenes.materials.mirror import Mirror
 from blender_scenes.passes import render, switch_on
@@ -65,7 +65,6 @@ class _Studio:
 
     def __init__(self, scene: Any, job: Job, box: tuple[int, int, int, int], route: str) -> None:
         self.scene, self.job, self.box, self.route = scene, job, box, route
-        self.stand = Stand((0.0, 0.0, 1.0) if isinstance(job.camera, Orthographic) else None, job.rotation, job.translation)
         self.items: list[Any] = []
         self.rig = Rig(scene)
         try:
@@ -87,7 +86,7 @@ class _Studio:
     def pictures(self, material: Material, wanted: set[str], view: bool = False) -> Arrays:
         """The wanted layers of every picture in one material. view: also what does not depend on the light, and sum_error."""
         job, n = self.job, self.job.supersampling
-        placed = material.put(self.stand)
+        placed = material.put(job.stand)
         slots = self.object.data.materials
         old = slots[0] if len(slots) else None
         if old is None:
@@ -121,13 +120,7 @@ class _Studio:
 
     def _render(self, placed: Placed, group: tuple[Light, ...]) -> dict[str, layers.Floats]:
         self.rig.show(group, placed.gain)
-        if placed.aim is not None:
-            light = group[0]
-            assert isinstance(light, Sun | Point)
-            if isinstance(light, Sun):
-                placed.aim(light.direction, None)
-            else:
-                placed.aim(light.position, light.position)
+        tell(placed, group[0])
         names = switch_on(self.scene, placed.passes, indirect=self.job.bounces > 0)
         passes, self.route = render(self.scene, self.route, names)
         return passes

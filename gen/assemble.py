@@ -58,7 +58,7 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
         if spec.half:
             layers[name] = _halved(spec, name, layer)
     full = _Frame(spec.resolution, shots[0]["box"])
-    layers = {name: full(layer) for name, layer in layers.items()}
+    layers = {name: full(layer, rows=1) for name, layer in layers.items()}
     images = layers["diffuse"] + layers["specular"]
     faults = np.where((images <= 0).all(axis=3), int(Fault.DARK), 0).astype(np.uint8)
     W, H = spec.resolution
@@ -72,7 +72,7 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
         depth=full(np.where(mask, view["depth"] / 1000, np.nan).astype(np.float32), np.nan),
         albedo=full(np.where(mask[..., None], view["albedo"], 0).astype(np.float32)),
         gloss=full(np.where(mask, view["gloss"], 0).astype(np.float32)),
-        shadow=None if shadow is None else full(shadow),
+        shadow=None if shadow is None else full(shadow, rows=1),
         specular_albedo=full(_specular_albedo(spec, mask)) if spec.lime else None,
         **layers,
     )
@@ -108,18 +108,17 @@ def _specular_albedo(spec: Spec, mask: NDArray[np.bool_]) -> Floats:
 
 
 class _Frame:
-    """Puts arrays of a box of pixels, (..., h, w) or (..., h, w, 3), into the whole frame."""
+    """Puts arrays of a box of pixels into the whole frame. rows: the axis of theirs that holds the rows; the columns' follows."""
 
     def __init__(self, resolution: tuple[int, int], box: NDArray[Any]) -> None:
         self.size, self.box = resolution, tuple(int(v) for v in box)
 
-    def __call__(self, array: NDArray[Any], outside: float = 0.0) -> NDArray[Any]:
+    def __call__(self, array: NDArray[Any], outside: float = 0.0, rows: int = 0) -> NDArray[Any]:
         (W, H), (x0, y0, x1, y1) = self.size, self.box
         if (x0, y0, x1, y1) == (0, 0, W, H):
             return array
-        axis = array.ndim - (3 if array.shape[-1] == 3 and array.shape[-3:-1] == (y1 - y0, x1 - x0) else 2)
-        whole = np.full((*array.shape[:axis], H, W, *array.shape[axis + 2 :]), outside, array.dtype)
-        whole[(slice(None),) * axis + (slice(y0, y1), slice(x0, x1))] = array
+        whole = np.full((*array.shape[:rows], H, W, *array.shape[rows + 2 :]), outside, array.dtype)
+        whole[(slice(None),) * rows + (slice(y0, y1), slice(x0, x1))] = array
         return whole
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from gen.errors import InputError
 from gen.spec_faults import Faults, Noise
-from gen.spec_lights import LIGHT_KINDS, LIGHT_PATTERNS, Light, Lights, Ring
+from gen.spec_lights import LIGHT_KINDS, LIGHT_PATTERNS, Light, Lights, Ring, Several
 from gen.spec_materials import Material, Substrate, complaint
 from gen.spec_materials import known_keys as material_keys
 from gen.spec_parts import (
@@ -124,7 +124,8 @@ class Spec(Part):
 
     def draws(self) -> int:
         """Samples drawn at every sub-sample."""
-        single = not self.bounces and set(self.light_kinds()) <= {"sun", "point"}
+        lights = [one for light in self.pictures() for one in (light.lights if isinstance(light, Several) else (light,))]
+        single = not self.bounces and all(light.kind in ("sun", "point") for light in lights)
         return self.samples or (1 if single else 64)
 
     def plain(self) -> dict[str, Any]:

@@ -75,6 +75,12 @@ def test_patterns_make_suns_near_lights_and_discs(pattern: str) -> None:
     assert discs.light_intensities()[1].tolist() == [1, 2, 3]
 
 
+def test_several_suns_need_one_sample() -> None:
+    several = {"kind": "several", "lights": [[0, 0, 1], EVERY["point"]]}
+    assert spec([several]).draws() == 1
+    assert spec([several], bounces=2, material={"kind": "lambertian"}).draws() == 64
+
+
 def test_a_mixed_list_says_which_lights_are_near() -> None:
     found = spec([[0, 0, 1], EVERY["point"], EVERY["sun"]])
     assert found.light_kinds() == ("sun", "point", "sun")
