@@ -21,6 +21,7 @@ bench: $(STAMP)
 	$(BIN)/python -m recon.bench
 	$(BIN)/python -m gen.bench
 	$(BIN)/python -m gen.deviation
+	$(BIN)/python -m learn.real
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -q -m soak
@@ -32,7 +33,7 @@ check: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,cluster,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,learn,train,export,cluster,dev]'
 	touch $@
 
 clean:

@@ -1,4 +1,4 @@
-"""The front door: one command, `degloss`, which mounts gen and recon. Starts nothing heavy; bad input ends in one line."""
+"""The front door: one command, `degloss`, which mounts gen, recon and learn. Starts nothing heavy; bad input ends in one line."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ app = App(
 )
 app.command("gen.cli:app", name="gen", help="The factory: render captures with their truth.")
 app.command("recon.cli:app", name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.")
+app.command("learn.cli:app", name="learn", help="The networks that remove gloss: train, evaluate, apply, export.")
 
 
 @app.command

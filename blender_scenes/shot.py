@@ -52,7 +52,8 @@ def shoot(scene: Any, job: object, route: str = "auto") -> tuple[Arrays, str]:
         if "mirror" in asked:
             # One direction is reflected: far fewer samples do.
             sample_by(scene, max(1, checked.samples // 8), checked.bounces, checked.seed)
-            shot["mirror"] = studio.pictures(Mirror(), {"combined"})["combined"]
+            # Compressed environment maps hold values a little below 0.
+            shot["mirror"] = np.maximum(studio.pictures(Mirror(), {"combined"})["combined"], 0)
     finally:
         studio.close()
     if checked.crop:

@@ -76,7 +76,7 @@ def ggx_lobe(cos_i: Array, cos_o: Array, cos_h: Array, alpha: Array, sin2_h: Arr
         return (a2 + (1.0 - a2) * m * m) ** 0.5
 
     divisor = mo * root(mi) + mi * root(mo)
-    return lit * math.pi * trowbridge_reitz(cos_h, alpha, sin2_h) * mi / (2.0 * (divisor + (divisor <= 0) * 1.0))
+    return trowbridge_reitz(cos_h, alpha, sin2_h) * math.pi * mi / (2.0 * (divisor + (divisor <= 0) * 1.0)) * lit
 
 
 def shade_two_lobe(

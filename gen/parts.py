@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -56,6 +58,20 @@ def require(name: str, reason: str = "") -> None:
     absent = [module for module in modules if find_spec(module) is None]
     if absent or reason:
         raise MissingPart(part.line + (f" [{reason}]" if reason else ""))
+
+
+def import_whole(module: str) -> None:
+    """Import a large module with signals held back until it is done.
+
+    A KeyboardInterrupt in the middle of torch's import may be swallowed, printed as a traceback, or leave half a module behind. The signal
+    is not lost: it is delivered when the import ends, within a second or two.
+    """
+    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        import_module(module)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _modules(*names: str) -> Callable[[], Finding]:
@@ -141,6 +157,8 @@ def _data() -> Finding:
 MODULES: dict[str, tuple[str, ...]] = {
     "bpy": ("bpy",),
     "torch": ("torch", "safetensors"),
+    "training": ("torch", "safetensors", "lightning_fabric"),
+    "export": ("onnx", "onnxruntime"),
     "report": ("jinja2",),
     "playwright": ("playwright",),
     "ray": ("ray",),
@@ -160,10 +178,20 @@ PARTS: dict[str, PartOf] = {
         PartOf("GPU", "faster rendering and training", "optional: an NVIDIA GPU with its driver", _gpu, False),
         PartOf(
             "torch",
-            "the learned gloss removers",
+            "the learned gloss removers, degloss learn",
             "pip install torch==2.13.0 safetensors",
             _modules("torch", "safetensors"),
             False,
+        ),
+        PartOf(
+            "training",
+            "degloss learn train",
+            "pip install torch==2.13.0 safetensors lightning-fabric",
+            _modules("torch", "safetensors", "lightning_fabric"),
+            False,
+        ),
+        PartOf(
+            "export", "degloss learn export --format onnx", "pip install onnx onnxruntime", _modules("onnx", "onnxruntime"), False
         ),
         PartOf(
             "report",

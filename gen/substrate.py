@@ -39,7 +39,8 @@ def trowbridge_reitz(cos_h: Array, alpha: Array, sin2_h: Array = None) -> Array:
     """
     c2 = cos_h * cos_h
     d = c2 * (alpha * alpha) + ((1.0 - c2) if sin2_h is None else sin2_h)
-    return (cos_h > 0) * (alpha * alpha) / (math.pi * d * d)
+    # A truth value times a plain number would be float32 in torch: it comes last, here and below.
+    return (alpha * alpha) / (math.pi * d * d) * (cos_h > 0)
 
 
 def schlick(specular: Array, cos_d: Array) -> Array:
@@ -55,7 +56,7 @@ def substrate_diffuse(cos_i: Array, cos_o: Array, diffuse: Array, specular: Arra
     """
     lit = (cos_i > 0) & (cos_o > 0)
     dim = (1.0 - (1.0 - 0.5 * cos_i) ** 5) * (1.0 - (1.0 - 0.5 * cos_o) ** 5)
-    return lit * (28.0 / 23.0) * diffuse * (1.0 - specular) * dim * cos_i
+    return dim * cos_i * (28.0 / 23.0) * diffuse * (1.0 - specular) * lit
 
 
 def substrate_specular(
@@ -70,7 +71,7 @@ def substrate_specular(
     larger = _maximum(cos_i, cos_o)
     divisor = 4.0 * abs(cos_d) * larger
     safe = divisor + (divisor <= 0) * 1.0
-    return lit * math.pi * trowbridge_reitz(cos_h, alpha, sin2_h) * schlick(specular, cos_d) * cos_i / safe
+    return trowbridge_reitz(cos_h, alpha, sin2_h) * math.pi * schlick(specular, cos_d) * cos_i / safe * lit
 
 
 def lambertian(cos_i: Array, albedo: Array) -> Array:

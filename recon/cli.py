@@ -40,9 +40,10 @@ def run(
     output
         The folder to write; an earlier result there is replaced.
     gloss
-        The gloss remover, or none. `degloss recon methods` lists them.
+        The gloss remover, or none. Default: group with three or more pictures where torch is installed, else chromaticity.
+        `degloss recon methods` lists them.
     inpaint
-        How defects are repaired, or none.
+        How defects are repaired, or none. Default: none after group, whose confidence says what to distrust, else telea.
     normals
         The photometric-stereo solver.
     height
@@ -63,6 +64,8 @@ def run(
     json
         Print the metrics as one JSON object on stdout.
     """
+    from dataclasses import replace
+
     from gen.capture import read_capture
     from gen.files import dumps, keep_apart, writing_folder
     from recon.choices import frame_numbers, settings_from
@@ -70,6 +73,7 @@ def run(
     from recon.output import write_into
     from recon.pipeline import measure
     from recon.progress import steps
+    from recon.registry import default_methods
     from recon.tables import text_report
 
     settings = settings_from(gloss, inpaint, normals, height, threshold, dilate, saturated, shadows)
@@ -80,6 +84,8 @@ def run(
         pictures = read_capture(capture, encoding)
         if chosen is not None:
             pictures = pictures.select(chosen)
+        gloss, inpaint = default_methods(pictures.count, gloss, inpaint)
+        settings = replace(settings, gloss=gloss, repair=inpaint)
         step.expect(5 + len(planned_rows(settings, pictures.truth)))
         shape = measure(pictures, **vars(settings), progress=step)
         metrics = write_into(shape, folder, step)

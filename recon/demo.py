@@ -14,6 +14,7 @@ from recon.output import write_into
 from recon.pipeline import measure
 from recon.progress import steps
 from recon.reconstruct import Settings
+from recon.registry import default_methods
 from recon.tables import text_report
 
 PRESET = "paper-cylinder"
@@ -37,8 +38,9 @@ def run_demo(output: Path, json: bool = False) -> None:
         render_capture(read_spec(PRESET), folder / "capture")
         step("reading")
         capture = replace(read_capture(folder / "capture"), source=PRESET)
-        step.expect(5 + len(planned_rows(Settings(), capture.truth)))
-        shape = measure(capture, progress=step)
+        gloss, repair = default_methods(capture.count)
+        step.expect(5 + len(planned_rows(Settings(gloss, repair), capture.truth)))
+        shape = measure(capture, gloss, repair, progress=step)
         metrics = write_into(shape, folder, step)
     if json:
         print(dumps(metrics))

@@ -1,7 +1,7 @@
 """The measurement from end to end: remove the gloss, find and repair the defects, solve for normals, integrate, all by name.
 
 capture = read_capture("photos/bolt")
-shape = measure(capture, gloss="chromaticity", repair="telea", normals="least-squares", height="quadratic")
+shape = measure(capture, gloss="group", repair="none", normals="least-squares", height="quadratic")
 print(shape.report())
 shape.write("out/bolt")
 """
@@ -17,7 +17,7 @@ from gen.capture import Capture
 from recon.compare import shape_metrics
 from recon.output import write_shape
 from recon.reconstruct import Progress, Settings, Shape, reconstruct
-from recon.registry import GLOSS
+from recon.registry import GLOSS, default_methods
 from recon.suitability import require_suitable
 from recon.tables import text_report
 
@@ -41,8 +41,8 @@ class Measurement(Shape):
 
 def measure(
     capture: Capture,
-    gloss: str = Settings.gloss,
-    repair: str = Settings.repair,
+    gloss: str | None = None,
+    repair: str | None = None,
     normals: str = Settings.normals,
     height: str = Settings.height,
     *,
@@ -52,10 +52,11 @@ def measure(
     shadows: str = Settings.shadows,
     progress: Progress | None = None,
 ) -> Measurement:
-    """Measure the shape of a capture. The choices are those of `Settings`.
+    """Measure the shape of a capture. The choices are those of `Settings`; gloss and repair None are those of `default_methods`.
 
     Raises InputError where a name is unknown, the capture does not suit (see `recon.suitability`), or nothing can be measured.
     """
+    gloss, repair = default_methods(capture.count, gloss, repair)
     settings = Settings(gloss, repair, normals, height, threshold, dilate, saturated, shadows)
     require_suitable(capture)
     if progress is not None:

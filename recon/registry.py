@@ -148,6 +148,10 @@ GLOSS: Registry[Remover] = Registry(
         "bilateral": "recon.gloss.bilateral:bilateral",
         "chromaticity": "recon.gloss.chromaticity:chromaticity",
         "low-rank": "recon.gloss.low_rank:low_rank",
+        "lime": "learn.removers:lime",
+        "specular": "learn.removers:specular",
+        "diffuse": "learn.removers:diffuse",
+        "group": "learn.removers:group",
         "true-diffuse": "recon.gloss.identity:true_diffuse",
         "true-matte": "recon.gloss.identity:true_matte",
     },
@@ -171,3 +175,16 @@ NORMALS: Registry[Solver] = Registry(
     },
 )
 HEIGHT: Registry[Integrator] = Registry("integrator", "--height", {"quadratic": "recon.height.quadratic:quadratic"})
+
+
+def default_methods(pictures: int, gloss: str | None = None, repair: str | None = None) -> tuple[str, str]:
+    """The remover and the repair of a measurement, each by default where it is None.
+
+    pictures: how many the capture has. The remover is "group" with three or more and torch installed, else "chromaticity". The repair is
+    "none" after "group", whose confidence already says what to distrust, else "telea". Names that are given are not checked.
+    """
+    from gen.parts import PARTS
+
+    if gloss is None:
+        gloss = "group" if pictures >= 3 and PARTS["torch"].look().state == "ok" else "chromaticity"
+    return gloss, repair or ("none" if gloss == "group" else "telea")

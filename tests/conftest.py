@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +14,13 @@ from gen.capture import Capture, Truth
 from gen.parts import PARTS
 from gen.parts import data_folder as data_folder_of_parts
 from gen.substrate import shade
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _interruptible() -> None:
+    """A shell hands SIGINT down ignored to what it runs in the background; tests that interrupt would then wait in vain."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -74,7 +74,7 @@ def test_help_is_quick() -> None:
 def test_run_writes_and_prints(folder: Path, tmp_path: Path) -> None:
     run = degloss("recon", "run", folder, "-o", tmp_path / "out")
     assert run.returncode == 0, run.stderr
-    assert "gloss removed and repaired" in run.stdout
+    assert "gloss removed" in run.stdout
     assert (tmp_path / "out" / "report.html").is_file()
     assert "read as linear" in run.stdout
 
@@ -188,14 +188,14 @@ def test_what_a_killed_run_left_is_swept_by_the_next(folder: Path, tmp_path: Pat
     (tmp_path / ".out.notes").mkdir()
     odd = f".out.{10**30}.abc.tmp"
     (tmp_path / odd).mkdir()
-    assert degloss("recon", "run", folder, "-o", tmp_path / "out").returncode == 0
+    assert degloss("recon", "run", folder, "-o", tmp_path / "out", "--gloss", "none").returncode == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([f".out.{os.getpid()}.abc.tmp", odd, ".out.notes", "out"])
 
 
 def test_files_of_others_in_a_result_are_never_lost(folder: Path, tmp_path: Path) -> None:
-    assert degloss("recon", "run", folder, "-o", tmp_path / "out").returncode == 0
+    assert degloss("recon", "run", folder, "-o", tmp_path / "out", "--gloss", "none").returncode == 0
     (tmp_path / "out" / "my notes.txt").write_text("mine")
-    refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "holds other files too")
+    refused(degloss("recon", "run", folder, "-o", tmp_path / "out", "--gloss", "none"), "holds other files too")
     assert (tmp_path / "out" / "my notes.txt").read_text() == "mine"
 
 
@@ -214,7 +214,7 @@ def test_full_disk_on_stdout_is_one_line() -> None:
 )
 def test_odd_environments(setting: dict[str, str], folder: Path, tmp_path: Path) -> None:
     assert degloss("--help", env={**os.environ, **setting}).returncode == 0
-    run = degloss("recon", "run", folder, "-o", tmp_path / "ünï e", env={**os.environ, **setting})
+    run = degloss("recon", "run", folder, "-o", tmp_path / "ünï e", "--gloss", "none", env={**os.environ, **setting})
     assert run.returncode == 0, run.stderr
 
 

@@ -32,6 +32,11 @@ HEAVY = {
     "pydantic",
     "ray",
     "pyarrow",
+    "safetensors",
+    "lightning_fabric",
+    "tensorboard",
+    "onnx",
+    "onnxruntime",
 }
 INNER_WALL = ["gen/capture.py", "gen/exr.py", "gen/substrate.py", "gen/images.py", "gen/files.py", "gen/errors.py"]
 
@@ -82,7 +87,18 @@ def test_inner_wall_of_gen() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", [*ALLOWED, "degloss", "gen.cli", "recon.cli", "recon.pipeline", "recon.registry", "gen.capture"]
+    "package",
+    [
+        *ALLOWED,
+        "degloss",
+        "gen.cli",
+        "recon.cli",
+        "learn.cli",
+        "recon.pipeline",
+        "recon.registry",
+        "gen.capture",
+        "learn.removers",
+    ],
 )
 def test_importing_is_cheap(package: str) -> None:
     """A package imports nothing heavy: asked of a fresh interpreter."""

@@ -42,7 +42,7 @@ def test_every_combination_measures(gloss: str, repair: str, synthetic: Syntheti
     error = angular_error(shape.normals.normal, capture.truth.normals)[capture.mask]
     assert np.isfinite(error).mean() > 0.99
     assert np.isfinite(shape.height.height[shape.normals.measurable]).all()
-    assert shape.consumed == {"none": "pictures", "true-matte": "matte"}.get(gloss, "diffuse")
+    assert shape.consumed == {"none": "pictures", "true-matte": "matte", "group": "matte"}.get(gloss, "diffuse")
     assert ((shape.weights >= 0) & (shape.weights <= 1)).all()
 
 
@@ -56,7 +56,7 @@ def test_matte_pictures_give_the_true_shape(synthetic: Synthetic) -> None:
 
 def test_comparison_has_the_papers_rows_and_the_ceilings(synthetic: Synthetic) -> None:
     capture = synthetic("cylinder", 64, alpha=0.4618, specular=0.5)
-    comparison = compare(measure(capture))
+    comparison = compare(measure(capture, repair="telea"))
     assert list(comparison.rows) == list(LABELS)
     figures = comparison.figures()
     mean = {name: row["normals"]["mask"]["mean"] for name, row in figures.items()}
@@ -82,7 +82,7 @@ def test_no_truth_no_errors(synthetic: Synthetic) -> None:
 
 def test_writes_everything_it_promises(tmp_path: Path, synthetic: Synthetic) -> None:
     capture = synthetic("sphere", 40)
-    shape = measure(capture)
+    shape = measure(capture, "chromaticity")
     metrics = shape.write(tmp_path / "out")
     found = {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*") if p.is_file()}
     wanted = {f"{n}.{e}" for n in ("normal", "height") for e in ("exr", "png")}
@@ -157,7 +157,7 @@ def test_shadows_can_be_left_out(synthetic: Synthetic) -> None:
 def test_leaving_pixels_out_closes_no_gap(synthetic: Synthetic) -> None:
     """Rows are judged on the pixels that all of them measured."""
     capture = synthetic("cylinder", 48, alpha=0.2, specular=0.4)
-    comparison = compare(measure(capture))
+    comparison = compare(measure(capture, repair="telea"))
     glossy = comparison.rows["glossy"]
     easy = angular_error(glossy.normals.normal, capture.truth.normals) < 5
     picky = replace(glossy, normals=replace(glossy.normals, measurable=easy, normal=glossy.normals.normal * easy[..., None]))

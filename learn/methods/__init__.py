@@ -1,0 +1,1 @@
+"""The methods of gloss removal that are learned: one module each; see `learn.method`."""

@@ -1,0 +1,155 @@
+"""The world that the group method trains in: endless captures with their truth, lit in torch from geometry at hand.
+
+A batch is a pure function of (seed, step): views, materials, lights and faults are all drawn from a generator of that step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gen.errors import InputError
+from gen.sets.pack import read_pack
+from learn import brdf_family, camera_chain
+from learn.brdf_family import Family, Material, random_material, shade_material
+from learn.camera_chain import Faults, misdirected, near_lights, take_pictures
+from learn.cast_shadows import thrown_in, visible
+from learn.light_sets import light_counts, random_lights
+from learn.method import check_options
+from learn.random_fields import Draws
+from learn.views import ViewBank, Views, joined, random_relief, with_detail
+
+OPTIONS: Mapping[str, Any] = {"views": "", "split": "", "reliefs": 0.3, "size": 64, "lights": None, "world": "wide"}
+"""Options of `World` and their defaults; lights: None is "mixed"."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureBatch:
+    """B captures of K lights.
+
+    images (B, K, 3, H, W): what the camera saw over the stated intensities, zero outside the mask. lights (B, K, 3): stated, unit. valid
+    (B, K, H, W): false where clipped, dark or missing. mask (B, H, W). matte, diffuse, specular (B, K, 3, H, W): truth in the same
+    units under the true lights, without faults and never cut, cast shadows in all three. normals (B, 3, H, W): true, zero outside.
+    """
+
+    images: Tensor
+    lights: Tensor
+    valid: Tensor
+    mask: Tensor
+    matte: Tensor
+    diffuse: Tensor
+    specular: Tensor
+    normals: Tensor
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of world draws from. detail: share of views with fine relief. thrown_in, soft: shares of captures with shadows from
+    outside the picture and with soft rims."""
+
+    family: Family
+    faults: Faults
+    detail: float
+    thrown_in: float
+    soft: float
+
+
+WORLDS: Mapping[str, Kind] = {
+    "wide": Kind(brdf_family.WIDE, camera_chain.WIDE, detail=0.35, thrown_in=0.3, soft=0.3),
+    "narrow": Kind(brdf_family.NARROW, camera_chain.NARROW, detail=0.0, thrown_in=0.0, soft=0.0),
+}
+
+
+class World:
+    """Endless batches of captures; see `learn.method.Source`.
+
+    data: options, see `OPTIONS`. views: path of a pack with normals and depth; without one all geometry is random relief. split: take
+    the pack's views of that split alone. reliefs: share of captures on random relief. size: of the square pictures. lights: "mixed", a
+    number, or weights of 1, 2, ... lights; a batch has one number. world: a key of `WORLDS`. batch: captures in a batch.
+    Raises InputError for an unknown or impossible option and a pack that does not serve.
+    """
+
+    steps_per_epoch: int | None = None
+
+    def __init__(self, data: Mapping[str, Any], batch: int, seed: int, device: torch.device | str = "cpu") -> None:
+        options = check_options(data, OPTIONS, "data")
+        if type(batch) is not int or batch < 1:
+            raise InputError(f"batch = {batch!r} must be a whole number from 1")
+        if options["world"] not in WORLDS:
+            raise InputError(f"data: world = {options['world']!r} is unknown; there are {', '.join(WORLDS)}")
+        if not 0 <= options["reliefs"] <= 1:
+            raise InputError(f"data: reliefs = {options['reliefs']:g} must be a share from 0 to 1")
+        if not 16 <= options["size"] <= 1024:
+            raise InputError(f"data: size = {options['size']} must be from 16 to 1024 pixels")
+        counts = light_counts("mixed" if options["lights"] is None else options["lights"])
+        self.size: int = options["size"]
+        self.reliefs: float = options["reliefs"]
+        self.kind = WORLDS[options["world"]]
+        self.device = torch.device(device)
+        self.captures, self.seed = batch, seed
+        self._counts, self._shares = list(counts), np.array(list(counts.values())) / sum(counts.values())
+        self.pictures = round(batch * float(np.dot(self._counts, self._shares)))
+        self.bank = self._bank(options["views"], options["split"])
+
+    def batch(self, step: int) -> CaptureBatch:
+        """Batch number `step`: the same bits whenever it is asked for on a CPU."""
+        draws = Draws(self.seed, step, self.device)
+        B, kind = self.captures, self.kind
+        K = int(draws.rng.choice(self._counts, p=self._shares))
+        with torch.no_grad():
+            views = self.views(draws)
+            lights = draws.put(np.stack([random_lights(draws.rng, K) for _ in range(B)]))
+            material = random_material(draws, B, self.size, kind.family)
+            directions, fall_off = near_lights(draws, lights, views.height, views.mask, kind.faults)
+            soft = draws.log_uniform(0.005, 0.08, B) * draws.chance(kind.soft, B)
+            light = fall_off * thrown_in(draws, B, K, self.size, kind.thrown_in, 0.3)[:, :, None]
+            diffuse, specular, matte = relight(views, lights, material, directions, light, soft)
+            images, valid = take_pictures(draws, diffuse + specular, diffuse, material.albedo, views.mask, kind.faults)
+            stated = misdirected(draws, lights, kind.faults)
+        return CaptureBatch(images, stated, valid, views.mask, matte, diffuse, specular, views.normals)
+
+    def views(self, draws: Draws) -> Views:
+        """The geometry of a batch, of the pack and random reliefs in random proportion."""
+        count = int((draws.rng.random(self.captures) < self.reliefs).sum()) if self.bank else self.captures
+        parts = [random_relief(draws, count, self.size)] if count else []
+        if self.bank and count < self.captures:
+            parts.append(self.bank.crops(draws, self.captures - count))
+        return with_detail(draws, joined(*parts), self.kind.detail)
+
+    def _bank(self, path: str, split: str) -> ViewBank | None:
+        if not path:
+            return None
+        pack = read_pack(Path(path))
+        items = pack.of_split(split) if split else None
+        if items is not None and not items:
+            raise InputError(f"{path}: has no items of the split {split!r}")
+        return ViewBank(pack, self.size, self.device, items)
+
+
+def relight(
+    views: Views,
+    lights: Tensor,
+    material: Material,
+    directions: Tensor | None = None,
+    light: Tensor | None = None,
+    softness: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """(diffuse, specular, matte), each (B, K, 3, H, W): what the surface sends to a distant viewer at +z over light intensity.
+
+    views: B views. lights: (B, K, 3) unit. directions: (B, K, 3, H, W) at each pixel where lights are near; light: factor (B, K, 1, H, W)
+    on all three, as fall-off and shadows of what is not in the picture. softness: see `learn.cast_shadows.visible`. Attached and cast
+    shadows are in all three; outside the mask they are zero.
+    """
+    if directions is None:
+        directions = lights[..., None, None]
+    reaching = visible(views.height, views.mask, lights, softness)[:, :, None] * views.mask[:, None, None]
+    if light is not None:
+        reaching = reaching * light
+    diffuse, specular, matte = (part * reaching for part in shade_material(material, views.normals, directions))
+    return diffuse, specular, matte
