@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
+from recon.benchmark.cli import bench
+
 app = App(name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.", help_format="plaintext")
+app.command(bench)
 
 
 @app.command

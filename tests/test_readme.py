@@ -17,6 +17,7 @@ from gen.formats.render_folder import write_render
 from gen.sets.set_spec import expand, set_from
 from gen.spec import spec_from
 from gen.strict_yaml import parse_yaml
+from recon.benchmark.spec import Benchmark
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -28,10 +29,14 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_specs_are_such() -> None:
-    capture, several = blocks("yaml")
-    assert spec_from(parse_yaml(capture, "README.md", "a spec"), "README.md").name == "my-cylinder"
-    found = set_from(parse_yaml(several, "README.md", "a set spec"), "README.md")
+    capture_spec, set_spec, benchmark = (
+        next(b for b in blocks("yaml") if b.startswith(key)) for key in ("name:", "set:", "benchmark:")
+    )
+    assert len(blocks("yaml")) == 3
+    assert spec_from(parse_yaml(capture_spec, "README.md", "a spec"), "README.md").name == "my-cylinder"
+    found = set_from(parse_yaml(set_spec, "README.md", "a set spec"), "README.md")
     assert len(list(expand(found, "README.md"))) == found.total() == 40
+    assert len(Benchmark.model_validate(parse_yaml(benchmark, "README.md", "a benchmark")).combinations()) == 7
 
 
 def test_every_material_and_preset_is_named() -> None:

@@ -1,0 +1,143 @@
+"""The page of a benchmark: the ranking, the objects, and for each object the maps of every method as the paper shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.benchmark.summary import label
+from recon.benchmark.units import Unit
+from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Row, Section, Table
+from recon.pictures import OUTSIDE, Picture, error_picture, sphere_legend
+from recon.tables import Column
+
+TOP = 30.0
+"""Degrees at the end of the error maps' scale."""
+
+METHODS = {"gloss": "gloss", "repair": "repair", "normals_by": "normals", "height_by": "height"}
+"""The four choices as rows name them -> as the page's table does."""
+
+MAX_OBJECTS = 40
+"""Objects whose maps are shown."""
+
+MAX_MAPS = 30
+"""Methods whose maps are shown of an object, the best first."""
+
+
+def benchmark_page(name: str, summary: Mapping[str, Any], maps: Iterable[tuple[Unit, Mapping[str, NDArray[Any]]]]) -> Page:
+    """The page of a summary (see `recon.benchmark.summary.summarise`) and the maps of its captures."""
+    ranking = summary["ranking"]
+    lead = "Nothing could be measured by every combination."
+    asked = [e for e in ranking if not e["gloss"].startswith("true-")]
+    if asked:
+        best = asked[0]
+        lead = (
+            f"{summary['units']} measurements of {summary['captures']} captures. Of the methods that need no truth, "
+            f"{', '.join(best[k] for k in ('gloss', 'repair', 'normals_by', 'height_by'))} errs least: {best['normals']:.2f}° on average."
+        )
+    sections = [Section("Ranking", _explained(), [_ranking(ranking), *_left_out(summary)])]
+    if len(summary["groups"]) > 1 or summary["published"]:
+        sections.append(
+            Section("Objects", "Mean angular error in degrees of each object or kind of object.", [_objects(summary)])
+        )
+    order = {tuple(e[k] for k in METHODS): i for i, e in enumerate(ranking)}
+    shown = 0
+    for unit, held in maps:
+        if shown < MAX_OBJECTS and "names" in held:
+            sections.append(_object(unit, held, order, ranking))
+            shown += 1
+    return Page(
+        f"Benchmark {name}", lead, sections, facts={"captures": str(summary["captures"]), "measurements": str(summary["units"])}
+    )
+
+
+def _explained() -> str:
+    return (
+        "Errors are mean angles between measured and true normals, in degrees, over the pixels that all combinations measured, then over "
+        "captures and draws of lights (± standard deviation). The gap closed is 1 where a method is as good as the non-glossy pictures "
+        "and 0 where it is as bad as the glossy ones. Intervals are 95 %, by a paired bootstrap."
+    )
+
+
+def _ranking(ranking: list[Mapping[str, Any]]) -> Table:
+    named = [k for k in METHODS if len({e[k] for e in ranking}) > 1] or ["gloss"]
+    columns = [
+        *(Column(METHODS[k], "s") for k in named),
+        Column("error", ".2f", "deg"), Column("±", ".2f", "deg"), Column("median", ".2f", "deg"), Column("lit by all", ".2f", "deg"),
+        Column("against glossy", "+.2f", "deg"), Column("from", "+.2f"), Column("to", "+.2f"), Column("gap closed", ".2f"),
+        Column("height error", ".2f", "% of range"), Column("height MSE", ".1f", "8-bit"), Column("picture MSE", ".1f", "8-bit"),
+        Column("measured", ".1f", "%"), Column("time", ".2f", "s"),
+    ]  # fmt: skip
+    rows = []
+    for e in ranking:
+        low, high = e.get("interval") or (None, None)
+        rows.append([
+            *(e[k] for k in named), e["normals"], e.get("sd"), e.get("median"), e.get("lit by all"),
+            e.get("difference"), low, high, e.get("gap closed"), e.get("of range"), e.get("height MSE"), e.get("picture MSE"),
+            e.get("measured"), e["seconds"],
+        ])  # fmt: skip
+    used = [j for j in range(len(columns)) if any(row[j] is not None for row in rows)]
+    return Table(
+        "All combinations, the best first",
+        [columns[j] for j in used],
+        [[row[j] for j in used] for row in rows],
+        reference=[i for i, e in enumerate(ranking) if e["gloss"].startswith("true-")],
+    )
+
+
+def _left_out(summary: Mapping[str, Any]) -> list[Part]:
+    return [
+        Note(f"Left out: {', '.join(e[k] for k in ('gloss', 'repair', 'normals_by', 'height_by'))}. {e['why']}")
+        for e in summary["left out"]
+    ]
+
+
+def _objects(summary: Mapping[str, Any]) -> Table:
+    groups, entries = summary["groups"], summary["objects"]
+    rows: list[list[object]] = [[label(e, entries), *(e[g] for g in groups)] for e in entries]
+    rows += [[f"{row}, published, 96 lights", *(values.get(g) for g in groups)] for row, values in summary["published"].items()]
+    ours = len(entries)
+    return Table(
+        "By object",
+        [Column("methods", "s"), *(Column(g, ".2f", "deg") for g in groups)],
+        rows,
+        caption="Published rows use all 96 pictures of an object." if summary["published"] else "",
+        reference=list(range(ours, len(rows))),
+    )
+
+
+def _object(
+    unit: Unit, held: Mapping[str, NDArray[Any]], order: Mapping[tuple[str, ...], int], ranking: list[Mapping[str, Any]]
+) -> Section:
+    """The maps of one capture: a gallery of normals, heights and errors with a frame a method, and the errors side by side."""
+    mask = held["mask"]
+    numbered = [(tuple(str(text).split("\x1f")), i) for i, text in enumerate(held["names"])]
+    numbered = sorted((c for c in numbered if c[0] in order), key=lambda c: order[c[0]])[:MAX_MAPS]
+    frames = [label(ranking[order[c]], ranking) for c, _ in numbered]
+    layers: dict[str, list[Picture]] = {"normals": [], "height": []}
+    errors: list[Figure] = []
+    for (_, i), frame in zip(numbered, frames, strict=True):
+        layers["normals"].append(_outside(held[f"n{i}"], mask))
+        layers["height"].append(_outside(np.repeat(held[f"z{i}"][..., None], 3, 2), mask))
+        if f"e{i}" in held:
+            error = held[f"e{i}"].astype(np.float32)
+            known = error[mask & np.isfinite(error)]
+            picture = error_picture(error, mask, TOP)
+            layers.setdefault("error", []).append(picture)
+            title = f"{frame}: {known.mean():.2f}°" if known.size else frame
+            errors.append(Figure(title, picture, legend=Bar(0, TOP, "°", above=bool((known > TOP).any()))))
+    parts: list[Part] = [
+        Row([Figure("brightest picture", held["picture"]), Figure("legend of normals", sphere_legend())], columns=4)
+    ]
+    if frames:
+        parts.append(Gallery(f"Maps of {unit.name}", layers, frames, "The slider goes through the methods, the best first."))
+    if errors:
+        parts.append(Row(errors[:12], columns=4, title="Angular error", caption="Maps are thinned; the tables use every pixel."))
+    return Section(unit.name, f"{unit.group}, {len(unit.lights)} lights.", parts)
+
+
+def _outside(picture: NDArray[Any], mask: NDArray[np.bool_]) -> Picture:
+    return np.where(mask[..., None], picture, np.array(OUTSIDE, np.uint8)).astype(np.uint8)

@@ -1,0 +1,154 @@
+"""The units of a benchmark: one capture under one draw of its lights. Captures are found, or rendered into the benchmark's folder."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gen.capture import Capture, read_capture
+from gen.errors import InputError
+from gen.sets.set_folder import RENDERED, SetFolder, is_set_folder
+from recon.benchmark.spec import Benchmark, Draws, Source
+
+T = TypeVar("T")
+
+TRIES = 1000
+"""Draws that are tried for one that is well spread."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One measurement's pictures. name: the capture's. group: what captures of one kind have in common, for the tables.
+
+    path: where it lies. draw: its number; lights: indices of the pictures used.
+    """
+
+    name: str
+    group: str
+    path: str
+    draw: int
+    lights: tuple[int, ...]
+
+    @property
+    def key(self) -> str:
+        """A file name of its own."""
+        text = f"{self.name}\n{self.path}"
+        return f"{hashlib.sha256(text.encode()).hexdigest()[:12]}-{self.draw:04d}"
+
+    def capture(self) -> Capture:
+        """The pictures, read from their files. Raises InputError where they cannot be."""
+        whole = read_capture(Path(self.path))
+        return whole if list(self.lights) == list(range(whole.count)) else whole.select(list(self.lights))
+
+
+def places(sources: Iterable[Source], folder: Path, rendered: Path) -> list[tuple[str, str, Path]]:
+    """(name, group, path) of every capture of the sources, in order, each once.
+
+    folder: where relative paths start. rendered: where captures of presets and sets are rendered, or were by an earlier run. Raises
+    InputError where a path holds no capture, and as rendering does.
+    """
+    found: dict[Path, tuple[str, str, Path]] = {}
+    for source in sources:
+        if source.path is not None:
+            here = list(_under(folder / source.path))
+        elif source.preset is not None:
+            here = [_render_one(source.preset, rendered)]
+        else:
+            here = list(_under(_render_set(str(source.set), source.limit, rendered)))
+        for entry in evenly(here, source.limit):
+            found.setdefault(entry[2].resolve(), entry)
+    names = [name for name, _, _ in found.values()]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"captures: two are named {twice}; the tables could not tell them apart")
+    return list(found.values())
+
+
+def evenly(every: Sequence[T], limit: int | None) -> list[T]:
+    """At most `limit` of them, evenly spaced from the first to the last; all where it is None."""
+    if limit is None or len(every) <= limit:
+        return list(every)
+    return [every[i] for i in np.linspace(0, len(every) - 1, limit).round().astype(int)]
+
+
+def units(benchmark: Benchmark, where: Iterable[tuple[str, str, Path]]) -> list[Unit]:
+    """Every capture under every draw. Raises InputError where a capture cannot be read or has too few lights for a draw."""
+    found: list[Unit] = []
+    for name, group, path in where:
+        capture = read_capture(path)
+        if capture.truth.normals is None:
+            raise InputError(f"{path}: has no true normals to measure against")
+        first, last = benchmark.skip.get(name, (0, 0))
+        usable = [i for i in range(capture.count) if not first <= i + 1 <= last]
+        if benchmark.draws is None:
+            found.append(Unit(name, group, str(path), 0, tuple(usable)))
+            continue
+        for number, chosen in enumerate(drawn(capture.lights[usable], benchmark.draws, benchmark.seed, str(path))):
+            found.append(Unit(name, group, str(path), number, tuple(usable[i] for i in chosen)))
+    return found
+
+
+def drawn(lights: NDArray[np.float64], draws: Draws, seed: int, where: str) -> list[list[int]]:
+    """Sorted indices of random subsets of lights (K, 3) whose condition number is small enough; the same for the same seed.
+
+    Raises InputError where there are too few lights, or hardly any subset is well spread.
+    """
+    if draws.lights > len(lights):
+        raise InputError(f"{where}: has {len(lights)} usable pictures, the benchmark draws {draws.lights}")
+    rng = np.random.default_rng(seed)
+    found: list[list[int]] = []
+    for _ in range(TRIES * draws.count):
+        chosen = sorted(int(i) for i in rng.choice(len(lights), draws.lights, replace=False))
+        if np.linalg.cond(lights[chosen]) < draws.max_condition:
+            found.append(chosen)
+            if len(found) == draws.count:
+                return found
+    raise InputError(f"{where}: hardly any {draws.lights} of its lights have a condition number under {draws.max_condition:g}")
+
+
+def _under(path: Path) -> Iterator[tuple[str, str, Path]]:
+    """A capture, the captures of a set, or of each folder in a folder."""
+    if not path.exists():
+        raise InputError(f"{path}: does not exist")
+    if path.is_dir() and is_set_folder(path):
+        folder = SetFolder(path)
+        for row in folder.rows():
+            if row["status"] == RENDERED:
+                yield str(row["id"]), str(row["group"]), folder.item_folder(str(row["id"]))
+        return
+    if path.is_dir() and not any(entry.is_file() and not entry.name.startswith(".") for entry in path.iterdir()):
+        inside = sorted(entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+        if inside:
+            for entry in inside:
+                yield entry.name, entry.name, entry
+            return
+    yield path.stem if path.is_file() else path.resolve().name, path.resolve().name, path
+
+
+def _render_one(preset: str, rendered: Path) -> tuple[str, str, Path]:
+    from gen.render import render_capture
+    from gen.spec import read_spec
+
+    spec = read_spec(preset)
+    place = rendered / f"{spec.name}-{spec.digest()[:8]}"
+    if not place.is_dir():
+        rendered.mkdir(parents=True, exist_ok=True)
+        render_capture(spec, place)
+    return spec.name, spec.name, place
+
+
+def _render_set(preset: str, limit: int | None, rendered: Path) -> Path:
+    from gen.sets.campaign import Engine, render_set
+    from gen.sets.plan import plan_of
+
+    place = rendered / (Path(preset).stem if limit is None else f"{Path(preset).stem}-{limit}")
+    plan = plan_of(preset, limit)
+    rendered.mkdir(parents=True, exist_ok=True)
+    render_set(plan, place, Engine(), resume=place.exists())
+    return place
