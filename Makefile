@@ -19,6 +19,8 @@ test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m recon.bench
+	$(BIN)/python -m recon.normals.bench
+	$(BIN)/python -m recon.height.bench
 	$(BIN)/python -m gen.bench
 	$(BIN)/python -m gen.deviation
 	$(BIN)/python -m learn.real

@@ -204,6 +204,7 @@ def export(
     output: Output,
     format: Literal["onnx", "torch"] = "onnx",
     pictures: int = 5,
+    shrink: int = 1,
     json: Flag = False,
 ) -> None:
     """Write a network for other programs, and compare the file with the network before it is kept.
@@ -221,6 +222,8 @@ def export(
         onnx or torch.
     pictures
         Of the group network: how many pictures of a view the file is for.
+    shrink
+        Of the group network: its trunk looks at means of this many pixels a side. Measuring takes the pixels across the object over 64.
     json
         Print one JSON object on stdout in place of a sentence.
     """
@@ -241,7 +244,7 @@ def export(
         "degloss.options": dumps(dict(loaded.options)),
         "degloss.facts": dumps(dict(loaded.facts)),
     }
-    done = export_model(loaded.model, output, format, pictures, facts)
+    done = export_model(loaded.model, output, format, pictures, facts, shrink)
     if json:
         print(dumps({"file": str(output), "method": loaded.method, **done}))
         return

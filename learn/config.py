@@ -48,7 +48,7 @@ LIMITS: Mapping[str, tuple[float, float]] = {
 }
 """The least and the greatest value of each number of [train]."""
 
-FREE = ("minutes", "log_every", "checkpoint_every", "sample_every", "threads")
+FREE = ("minutes", "log_every", "checkpoint_every", "sample_every", "threads", "prefetch")
 """Keys of [train] that may change when a run is resumed: what they say does not change the weights."""
 
 
@@ -59,7 +59,7 @@ class Train:
     batch: what one process takes a step. epochs or steps: the length of the schedule (exactly one). minutes: stop by the clock, all
     sessions of a run together. rate: the peak learning rate. warm_up: steps of linear rise. ema: decay of the averaged weights, 0 for
     none. clip: the largest norm of the gradient, 0 for any. *_every: in steps; sample_every and validate_every take 0 for never.
-    threads: of torch on a CPU, 0 leaves them alone.
+    threads: of torch on a CPU, 0 leaves them alone. prefetch: a thread of its own makes the next batch during a step.
     """
 
     batch: int
@@ -80,6 +80,7 @@ class Train:
     validate_every: int = 1000
     validation_batches: int = 4
     threads: int = 0
+    prefetch: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,10 @@ def _train(table: Mapping[str, Any], name: str) -> Train:
         if key in CHOICES:
             if value not in CHOICES[key]:
                 raise InputError(f"{at} must be one of {', '.join(CHOICES[key])}")
+            continue
+        if kinds[key] == "bool":
+            if type(value) is not bool:
+                raise InputError(f"{at} must be true or false")
             continue
         whole = kinds[key].startswith("int")
         if type(value) is not int and (whole or type(value) is not float):

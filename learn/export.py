@@ -23,6 +23,7 @@ from torch.overrides import TorchFunctionMode
 from gen.errors import InputError
 from gen.files import writing
 from gen.parts import require
+from learn.models.group import MOST_SHRUNK
 
 OPSET = 17
 """Of the ONNX standard: the newest that the exporter writes from a trace, read by onnxruntime from 1.12 on."""
@@ -80,8 +81,11 @@ class Graph:
         return tuple(made)
 
 
-def graph_of(model: nn.Module) -> Graph:
-    """What is exported of a network of `learn.models`. Raises InputError where it is of a kind that is not known."""
+def graph_of(model: nn.Module, shrink: int = 1) -> Graph:
+    """What is exported of a network of `learn.models`. Raises InputError where it is of a kind that is not known.
+
+    shrink: of the group network, see `learn.models.group.shrink_of`.
+    """
     picture = {"image": ("B", 3, "H", "W")}
     masked = {**picture, "mask": ("B", 1, "H", "W")}
     match type(model).__name__:
@@ -92,7 +96,7 @@ def graph_of(model: nn.Module) -> Graph:
                 "valid": ("B", "K", "H", "W"),
                 "mask": ("B", "H", "W"),
             }
-            return Graph(_Group(model), inputs, ("matte", "diffuse", "specular", "confidence", "normals"))
+            return Graph(_Group(model, shrink), inputs, ("matte", "diffuse", "specular", "confidence", "normals"))
         case "LimeNet" | "SpecularNet":
             return Graph(_Remover(model), masked, ("diffuse", "specular"))
         case "SegmentationNet":
@@ -109,12 +113,18 @@ def graph_of(model: nn.Module) -> Graph:
 
 
 def export_model(
-    model: nn.Module, path: Path, format: str = "onnx", pictures: int = 5, facts: Mapping[str, str] | None = None
+    model: nn.Module,
+    path: Path,
+    format: str = "onnx",
+    pictures: int = 5,
+    facts: Mapping[str, str] | None = None,
+    shrink: int = 1,
 ) -> dict[str, Any]:
     """Write a network in evaluation mode to `path`, compare the file with the network at the sizes of `CHECKED`, and only then keep it.
 
     format: "onnx" (opset `OPSET`; batch, height and width are free) or "torch" (TorchScript, for torch.jit.load and libtorch; the same are
-    free). pictures: K, which is part of the graph of the group network and of no other. facts: what the file says of itself.
+    free). pictures: K, which is part of the graph of the group network and of no other, as is shrink (see `learn.models.group.shrink_of`).
+    facts: what the file says of itself.
     Returns format, inputs, outputs, bytes, and the relative differences that were found (see `AGREES`). Raises InputError where the
     file would not agree with the network or cannot be written, MissingPart without onnx and onnxruntime.
     """
@@ -122,12 +132,14 @@ def export_model(
         raise InputError(f"--format {format}: must be onnx or torch")
     if not FEWEST <= pictures <= 96:
         raise InputError(f"--pictures {pictures}: must be from {FEWEST} to 96")
+    if not 1 <= shrink <= MOST_SHRUNK:
+        raise InputError(f"--shrink {shrink}: must be from 1 to {MOST_SHRUNK}")
     if format == "onnx":
         require("export")
-    graph = graph_of(model.to("cpu").eval())
+    graph = graph_of(model.to("cpu").eval(), shrink)
     said = {**(facts or {}), "inputs": json.dumps({name: list(axes) for name, axes in graph.inputs.items()})}
     if "images" in graph.inputs:
-        said["pictures"] = str(pictures)
+        said |= {"pictures": str(pictures), "shrink": str(shrink)}
     with torch.no_grad(), _Elementary(), _quiet():
         traced = torch.jit.trace(graph.module, graph.example(*TRACED, pictures), check_trace=False)
         data = _onnx_bytes(traced, graph, pictures, said) if format == "onnx" else _script_bytes(traced, said)
@@ -165,12 +177,12 @@ class _Remover(nn.Module):
 class _Group(nn.Module):
     """The group network's layers as a tuple."""
 
-    def __init__(self, model: nn.Module) -> None:
+    def __init__(self, model: nn.Module, shrink: int) -> None:
         super().__init__()
-        self.model = model
+        self.model, self.shrink = model, shrink
 
     def forward(self, images: Tensor, lights: Tensor, valid: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
-        layers = self.model(images, lights, valid, mask)
+        layers = self.model(images, lights, valid, mask, shrink=self.shrink)
         return layers.matte, layers.diffuse, layers.specular, layers.confidence, layers.normals
 
 

@@ -208,6 +208,8 @@ def _group(loaded: Loaded, images: Floats, mask: Bools | None, valid: Bools | No
     """The layers of all pictures together. Only the object's box is looked at; outside it all is diffuse and matte."""
     import torch
 
+    from learn.models.group import shrink_of
+
     device = next(loaded.model.parameters()).device
     K, H, W, _ = images.shape
     inside = np.ones((H, W), bool) if mask is None else mask
@@ -215,6 +217,7 @@ def _group(loaded: Loaded, images: Floats, mask: Bools | None, valid: Bools | No
     toward = None if lights is None else torch.from_numpy(np.asarray(lights, np.float32))[None].to(device)
     gloss, matte, confidence = np.zeros_like(images), images.copy(), np.zeros((K, H, W), np.float32)
     top, left, bottom, right = _box(inside)
+    shrink = shrink_of(torch.from_numpy(inside))
     with torch.inference_mode():
         for seen, kept in tiles(bottom - top, right - left, MAX_SAMPLES // K):
             rows, columns = (slice(s.start + at, s.stop + at) for s, at in zip(seen, (top, left), strict=True))
@@ -226,6 +229,7 @@ def _group(loaded: Loaded, images: Floats, mask: Bools | None, valid: Bools | No
                 toward,
                 torch.from_numpy(known[:, rows, columns][None].copy()).to(device),
                 torch.from_numpy(inside[rows, columns][None].copy()).to(device),
+                shrink=shrink,
             )
             own = tuple(slice(s.start + at, s.stop + at) for s, at in zip(kept, (top, left), strict=True))
             within = _within(seen, kept)

@@ -5,13 +5,39 @@ Tensors are channels first: samples y (B, K, H, W), lights (B, K, 3), weights (B
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
 import torch
 from torch import Tensor
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 DAMPING = 1e-4
 """Share of the mean diagonal that is added to the normal matrix: a pixel with too few weights has a solution, if a poor one."""
 
 
+def in_full(function: Callable[P, R]) -> Callable[P, R]:
+    """The function computed in single precision at least, also where autocast would halve it: it solves, and differences matter."""
+
+    @wraps(function)
+    def full(*args: P.args, **kwargs: P.kwargs) -> R:
+        kind = next((a.device.type for a in args if isinstance(a, Tensor)), "cpu")
+        if not torch.is_autocast_enabled(kind):
+            return function(*args, **kwargs)
+        with torch.autocast(kind, enabled=False):
+            return function(*(_at_least_single(a) for a in args), **{k: _at_least_single(v) for k, v in kwargs.items()})  # type: ignore[arg-type]
+
+    return full
+
+
+def _at_least_single(value: object) -> object:
+    return value.float() if isinstance(value, Tensor) and value.dtype in (torch.bfloat16, torch.float16) else value
+
+
+@in_full
 def weighted_least_squares(y: Tensor, lights: Tensor, weights: Tensor) -> Tensor:
     """b (B, 3, H, W) that minimises sum_k w_k (y_k - l_k . b)^2 at each pixel, lightly damped (Woodham 1980).
 
@@ -36,6 +62,7 @@ def weighted_least_squares(y: Tensor, lights: Tensor, weights: Tensor) -> Tensor
     return solved.reshape(b, 3, h, w)
 
 
+@in_full
 def shading(b: Tensor, lights: Tensor) -> Tensor:
     """max(l_k . b, 0) of each light, (B, K, H, W). b: (B, 3, H, W). lights: (B, K, 3)."""
     n, _, h, w = b.shape
@@ -54,13 +81,14 @@ def angle(a: Tensor, b: Tensor) -> Tensor:
     return torch.atan2((cross.square().sum(1) + 1e-12).sqrt(), (a * b).sum(1))
 
 
+@in_full
 def robust_start(y: Tensor, lights: Tensor, valid: Tensor, rounds: int = 4) -> Tensor:
     """b of a Lambertian fit that distrusts what stands out above it: Cauchy weights, three times as wide below as above, shadows out.
 
     y: (B, K, H, W), about 1 where the pixel is bright. valid: (B, K, H, W) 0 or 1. With fewer than four lights, plain least squares.
     Source: P. Holland and R. Welsch, "Robust regression using iteratively reweighted least-squares" (1977); the widths are ours.
     """
-    lit = valid * (y > 0.03 * y.amax(1, keepdim=True)) + 1e-3
+    lit = valid * (y > 0.03 * y.amax(1, keepdim=True).clamp(max=3)) + 1e-3
     weight = lit
     for i in range(rounds if y.shape[1] > 3 else 1):
         b = weighted_least_squares(y, lights, weight)

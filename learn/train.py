@@ -29,6 +29,7 @@ from torch import Tensor, nn
 
 from gen.errors import InputError
 from gen.files import write_json
+from learn.ahead import ahead
 from learn.checkpoint import Parts, random_state, read_state, restore, write_checkpoint
 from learn.config import Config, Train, determinants, parse_overrides, read_config, with_minutes
 from learn.ema import MovingAverage
@@ -132,6 +133,7 @@ def train(config: Config, run: Path, resume: bool = False, device: str = "auto",
         if rank > 0:
             torch.manual_seed(config.seed + 1_000_003 * rank + step)  # the checkpoint holds the first process's generators
         begin, began = step, time.perf_counter()
+        batches = stack.enter_context(ahead(source, options.prefetch))
 
         def seconds() -> float:
             return earlier + time.perf_counter() - began
@@ -229,7 +231,7 @@ def train(config: Config, run: Path, resume: bool = False, device: str = "auto",
                     mark.set()
                 with step_may_break():
                     start = time.perf_counter()
-                    batch = source.batch(step * ranks + rank)
+                    batch = batches(step * ranks + rank, (step + 1) * ranks + rank if step + 1 < total else None)
                     spent_waiting = time.perf_counter() - start
                     loss, extra = objective(Held(batch), step / total)
                     optimiser.zero_grad(set_to_none=True)

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional as F
 
 from gen.errors import InputError
 from gen.sets.pack import Pack
@@ -59,26 +60,42 @@ class ViewBank:
     def __len__(self) -> int:
         return len(self.covered)
 
-    def crops(self, draws: Draws, count: int) -> Views:
-        """`count` random crops of random views, thinned out to every second or fourth pixel in a share, mirrored and turned by quarters."""
-        return _stacked([self._crop(draws) for _ in range(count)])
+    def crops(self, draws: Draws, count: int, size: int | None = None) -> Views:
+        """`count` random crops of random views, thinned out to every second or fourth pixel in a share, mirrored and turned by quarters.
 
-    def _crop(self, draws: Draws) -> Views:
+        size: of the crops, as the bank's by default. Where it is larger, half of them (all, where the views are smaller) are looked at from
+        nearer: crops of half the size, drawn out smoothly.
+        """
+        return _stacked([self._crop(draws, size or self.size) for _ in range(count)])
+
+    def _crop(self, draws: Draws, size: int) -> Views:
         rng = draws.rng
         view = int(rng.integers(len(self)))
         H, W = self.covered.shape[1:]
-        most = min(H, W) // self.size
+        if size > self.size and (size > min(H, W) or rng.random() < 0.5):
+            return drawn_out(self._crop(draws, (size + 1) // 2), size)
+        most = min(H, W) // size
         stride = int(rng.choice([s for s in (1, 1, 2, 4) if s <= most]))
-        row, column, share = _place(rng, self.covered[view], self.size * stride)
+        row, column, share = place_of(rng, self.covered[view], size * stride)
         if share < LEAST_COVERED and stride > 1:
             stride = 1  # a small object, seen from near by
-            row, column, _ = _place(rng, self.covered[view], self.size)
-        rows, columns = (slice(start, start + self.size * stride, stride) for start in (row, column))
+            row, column, _ = place_of(rng, self.covered[view], size)
+        rows, columns = (slice(start, start + size * stride, stride) for start in (row, column))
         normals = unit(self.normals[view, :, rows, columns].float(), 0)
         mask = self.mask[view, rows, columns]
         height = self.height[view, rows, columns] / stride
         middle = (height * mask).sum() / mask.sum().clamp_min(1)
         return moved(normals * mask, torch.where(mask, height - middle, 0.0), mask, bool(rng.integers(2)), int(rng.integers(4)))
+
+
+def drawn_out(view: Views, size: int) -> Views:
+    """One view (3, h, w), (h, w), (h, w) at size x size pixels, larger than it was: interpolated bilinearly inside the mask."""
+    inside = view.mask.float()
+    maps = torch.cat([view.normals, (view.height * inside)[None], inside[None]])[None]
+    normals, height, weight = F.interpolate(maps, size=(size, size), mode="bilinear", align_corners=False)[0].split([3, 1, 1])
+    mask = weight[0] >= 0.5
+    heights = height[0] / weight[0].clamp_min(1e-3) * (size / view.mask.shape[-1])
+    return Views(unit(normals, 0) * mask, torch.where(mask, heights, 0.0), mask)
 
 
 def moved(normals: Tensor, height: Tensor, mask: Tensor, mirrored: bool, quarters: int) -> Views:
@@ -192,7 +209,7 @@ def _stacked(views: Sequence[Views]) -> Views:
     return Views(*(torch.stack([getattr(view, name) for view in views]) for name in ("normals", "height", "mask")))
 
 
-def _place(rng: np.random.Generator, covered: NDArray[np.bool_], side: int) -> tuple[int, int, float]:
+def place_of(rng: np.random.Generator, covered: NDArray[np.bool_], side: int) -> tuple[int, int, float]:
     """Top left corner of a crop that the object fills well enough, the best of a few where none does, and the share that it fills."""
     H, W = covered.shape
     rows, columns = np.nonzero(covered)

@@ -6,7 +6,7 @@ A batch is a pure function of (seed, step): views, materials, lights and faults 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,21 @@ from learn.cast_shadows import thrown_in, visible
 from learn.light_sets import light_counts, random_lights
 from learn.method import check_options
 from learn.random_fields import Draws
+from learn.rendered import RenderBank
 from learn.views import ViewBank, Views, joined, random_relief, with_detail
 
-OPTIONS: Mapping[str, Any] = {"views": "", "split": "", "reliefs": 0.3, "size": 64, "lights": None, "world": "wide"}
+OPTIONS: Mapping[str, Any] = {
+    "views": "",
+    "split": "",
+    "reliefs": 0.3,
+    "size": 64,
+    "large": 0.25,
+    "lights": None,
+    "world": "wide",
+    "captures": "",
+    "rendered": 0.12,
+    "dropped": 0.1,
+}
 """Options of `World` and their defaults; lights: None is "mixed"."""
 
 
@@ -36,6 +48,7 @@ class CaptureBatch:
     images (B, K, 3, H, W): what the camera saw over the stated intensities, zero outside the mask. lights (B, K, 3): stated, unit. valid
     (B, K, H, W): false where clipped, dark or missing. mask (B, H, W). matte, diffuse, specular (B, K, 3, H, W): truth in the same
     units under the true lights, without faults and never cut, cast shadows in all three. normals (B, 3, H, W): true, zero outside.
+    told: whether the network may know the lights.
     """
 
     images: Tensor
@@ -46,6 +59,7 @@ class CaptureBatch:
     diffuse: Tensor
     specular: Tensor
     normals: Tensor
+    told: bool = True
 
 
 @dataclass(frozen=True)
@@ -70,8 +84,10 @@ class World:
     """Endless batches of captures; see `learn.method.Source`.
 
     data: options, see `OPTIONS`. views: path of a pack with normals and depth; without one all geometry is random relief. split: take
-    the pack's views of that split alone. reliefs: share of captures on random relief. size: of the square pictures. lights: "mixed", a
-    number, or weights of 1, 2, ... lights; a batch has one number. world: a key of `WORLDS`. batch: captures in a batch.
+    the pack's views of that split alone. reliefs: share of captures on random relief. size: of the square pictures; a share `large` of the
+    batches has a quarter of the captures at twice the size. lights: "mixed", a number, or weights of 1, 2, ... lights; a batch has one
+    number. world: a key of `WORLDS`. captures: path of a pack of rendered captures (`learn.rendered`), which a share `rendered` of the
+    batches is taken from. dropped: share of batches in which the network is not told the lights. batch: captures in a batch.
     Raises InputError for an unknown or impossible option and a pack that does not serve.
     """
 
@@ -83,43 +99,66 @@ class World:
             raise InputError(f"batch = {batch!r} must be a whole number from 1")
         if options["world"] not in WORLDS:
             raise InputError(f"data: world = {options['world']!r} is unknown; there are {', '.join(WORLDS)}")
-        if not 0 <= options["reliefs"] <= 1:
-            raise InputError(f"data: reliefs = {options['reliefs']:g} must be a share from 0 to 1")
+        for share in ("reliefs", "large", "rendered", "dropped"):
+            if not 0 <= options[share] <= 1:
+                raise InputError(f"data: {share} = {options[share]:g} must be a share from 0 to 1")
         if not 16 <= options["size"] <= 1024:
             raise InputError(f"data: size = {options['size']} must be from 16 to 1024 pixels")
         counts = light_counts("mixed" if options["lights"] is None else options["lights"])
         self.size: int = options["size"]
         self.reliefs: float = options["reliefs"]
+        self.large: float = options["large"]
+        self.dropped: float = options["dropped"]
         self.kind = WORLDS[options["world"]]
         self.device = torch.device(device)
         self.captures, self.seed = batch, seed
         self._counts, self._shares = list(counts), np.array(list(counts.values())) / sum(counts.values())
-        self.pictures = round(batch * float(np.dot(self._counts, self._shares)))
+        captures = (1 - self.large) * batch + self.large * max(batch // 4, 1)
+        self.pictures = round(captures * float(np.dot(self._counts, self._shares)))
         self.bank = self._bank(options["views"], options["split"])
+        self.rendered: float = options["rendered"] if options["captures"] else 0.0
+        self.renders = RenderBank(read_pack(Path(options["captures"])), self.device) if options["captures"] else None
 
     def batch(self, step: int) -> CaptureBatch:
         """Batch number `step`: the same bits whenever it is asked for on a CPU."""
         draws = Draws(self.seed, step, self.device)
-        B, kind = self.captures, self.kind
         K = int(draws.rng.choice(self._counts, p=self._shares))
+        large, rendered, told = draws.rng.random(3) < (self.large, self.rendered, 1 - self.dropped)
+        size, B = (2 * self.size, max(self.captures // 4, 1)) if large else (self.size, self.captures)
         with torch.no_grad():
-            views = self.views(draws)
-            lights = draws.put(np.stack([random_lights(draws.rng, K) for _ in range(B)]))
-            material = random_material(draws, B, self.size, kind.family)
-            directions, fall_off = near_lights(draws, lights, views.height, views.mask, kind.faults)
-            soft = draws.log_uniform(0.005, 0.08, B) * draws.chance(kind.soft, B)
-            light = fall_off * thrown_in(draws, B, K, self.size, kind.thrown_in, 0.3)[:, :, None]
-            diffuse, specular, matte = relight(views, lights, material, directions, light, soft)
-            images, valid = take_pictures(draws, diffuse + specular, diffuse, material.albedo, views.mask, kind.faults)
-            stated = misdirected(draws, lights, kind.faults)
+            taken = self.renders if rendered else None
+            made = self._rendered(draws, taken, B, K, size) if taken else self._relit(draws, B, K, size)
+        return replace(made, told=bool(told))
+
+    def _relit(self, draws: Draws, B: int, K: int, size: int) -> CaptureBatch:
+        """B captures of K lights, shaded here."""
+        kind = self.kind
+        views = self.views(draws, B, size)
+        lights = draws.put(np.stack([random_lights(draws.rng, K) for _ in range(B)]))
+        material = random_material(draws, B, size, kind.family)
+        directions, fall_off = near_lights(draws, lights, views.height, views.mask, kind.faults)
+        soft = draws.log_uniform(0.005, 0.08, B) * draws.chance(kind.soft, B)
+        light = fall_off * thrown_in(draws, B, K, size, kind.thrown_in, 0.3)[:, :, None]
+        diffuse, specular, matte = relight(views, lights, material, directions, light, soft)
+        images, valid = take_pictures(draws, diffuse + specular, diffuse, material.albedo, views.mask, kind.faults)
+        stated = misdirected(draws, lights, kind.faults)
         return CaptureBatch(images, stated, valid, views.mask, matte, diffuse, specular, views.normals)
 
-    def views(self, draws: Draws) -> Views:
+    def _rendered(self, draws: Draws, bank: RenderBank, B: int, K: int, size: int) -> CaptureBatch:
+        """B captures of K lights, or as many as they have, of what Cycles rendered, photographed here."""
+        given = bank.crops(draws, B, K, size)
+        faults = replace(self.kind.faults, bounce=0.0)  # it is in the renders
+        radiance = given.diffuse + given.specular
+        images, valid = take_pictures(draws, radiance, given.diffuse, given.albedo, given.mask, faults)
+        stated = misdirected(draws, given.lights, faults)
+        return CaptureBatch(images, stated, valid, given.mask, given.matte, given.diffuse, given.specular, given.normals)
+
+    def views(self, draws: Draws, captures: int, size: int) -> Views:
         """The geometry of a batch, of the pack and random reliefs in random proportion."""
-        count = int((draws.rng.random(self.captures) < self.reliefs).sum()) if self.bank else self.captures
-        parts = [random_relief(draws, count, self.size)] if count else []
-        if self.bank and count < self.captures:
-            parts.append(self.bank.crops(draws, self.captures - count))
+        count = int((draws.rng.random(captures) < self.reliefs).sum()) if self.bank else captures
+        parts = [random_relief(draws, count, size)] if count else []
+        if self.bank and count < captures:
+            parts.append(self.bank.crops(draws, captures - count, size))
         return with_detail(draws, joined(*parts), self.kind.detail)
 
     def _bank(self, path: str, split: str) -> ViewBank | None:

@@ -8,9 +8,11 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 from recon.benchmark.cli import bench
+from recon.photos.cli import capture as check_capture
 
 app = App(name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.", help_format="plaintext")
 app.command(bench)
+app.command(check_capture, name="capture")
 
 
 @app.command

@@ -172,9 +172,24 @@ NORMALS: Registry[Solver] = Registry(
     {
         "least-squares": "recon.normals.least_squares:least_squares",
         "three-light": "recon.normals.three_light:three_light",
+        "l1": "recon.normals.l1:l1",
+        "sparse-bayesian": "recon.normals.sparse_bayesian:sparse_bayesian",
+        "thresholded-sparse-bayesian": "recon.normals.sparse_bayesian:thresholded_sparse_bayesian",
+        "rank-minimisation": "recon.normals.rank_minimisation:rank_minimisation",
+        "position-threshold": "recon.normals.position_threshold:position_threshold",
+        "coat": "recon.normals.coat:coat",
     },
 )
-HEIGHT: Registry[Integrator] = Registry("integrator", "--height", {"quadratic": "recon.height.quadratic:quadratic"})
+HEIGHT: Registry[Integrator] = Registry(
+    "integrator",
+    "--height",
+    {
+        "quadratic": "recon.height.quadratic:quadratic",
+        "dct": "recon.height.poisson:dct",
+        "bilateral": "recon.height.bilateral:bilateral",
+        "adaptive": "recon.height.adaptive:adaptive",
+    },
+)
 
 
 def default_methods(pictures: int, gloss: str | None = None, repair: str | None = None) -> tuple[str, str]:

@@ -33,6 +33,8 @@ COMMANDS = [
     ["recon"],
     ["recon", "run"],
     ["recon", "methods"],
+    ["recon", "bench"],
+    ["recon", "capture"],
 ]
 
 

@@ -18,6 +18,7 @@ from gen.sets.set_spec import expand, set_from
 from gen.spec import spec_from
 from gen.strict_yaml import parse_yaml
 from recon.benchmark.spec import Benchmark
+from recon.photos.spec import photo_spec
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -25,14 +26,16 @@ Synthetic = Callable[..., Capture]
 
 
 def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    return [text for kind, text in re.findall(r"^```(\w*)\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL) if kind == language]
 
 
 def test_the_specs_are_such() -> None:
     capture_spec, set_spec, benchmark = (
         next(b for b in blocks("yaml") if b.startswith(key)) for key in ("name:", "set:", "benchmark:")
     )
-    assert len(blocks("yaml")) == 3
+    photos = next(b for b in blocks("yaml") if b.startswith("images:"))
+    assert len(blocks("yaml")) == 4
+    assert photo_spec(parse_yaml(photos, "README.md", "photographs"), "README.md").mm_per_pixel == 0.05
     assert spec_from(parse_yaml(capture_spec, "README.md", "a spec"), "README.md").name == "my-cylinder"
     found = set_from(parse_yaml(set_spec, "README.md", "a set spec"), "README.md")
     assert len(list(expand(found, "README.md"))) == found.total() == 40
@@ -71,7 +74,7 @@ def test_every_command_and_option_exists() -> None:
     assert len(commands) >= 4
     for line in commands:
         words = shlex.split(line.replace("[", " ").replace("]", " ").replace("|", " "))[1:]
-        depth = 2 if words[0] in ("recon", "gen") else 1
+        depth = 2 if words[0] in ("recon", "gen", "learn") else 1
         run = subprocess.run(
             [sys.executable, "-m", "degloss", *words[:depth], "--help"], capture_output=True, text=True, cwd=ROOT
         )

@@ -17,6 +17,7 @@ from gen.errors import InputError
 READERS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "render": ("gen.formats.render_folder:is_render", "gen.formats.render_folder:read_render"),
+        "photos": ("recon.photos.read:is_photos", "recon.photos.read:read_photos"),
         "diligent": ("gen.formats.diligent:is_diligent", "gen.formats.diligent:read_diligent"),
         "rti": ("gen.formats.rti:is_rti", "gen.formats.rti:read_rti"),
         "psm": ("gen.formats.psm:is_psm", "gen.formats.psm:read_psm"),
@@ -26,8 +27,8 @@ READERS: Mapping[str, tuple[str, str]] = MappingProxyType(
 """Name of a format -> "module:detect", "module:read", imported when used. The order is the order of detection."""
 
 KNOWN = (
-    "our render folders (capture.json), DiLiGenT folders (filenames.txt), RTI folders (.lp), psmImages lists (NAME.txt beside "
-    "lights.txt), folders of PNG, TIFF, JPEG or EXR pictures with lights.txt"
+    "our render folders (capture.json), photographs with capture.yaml, DiLiGenT folders (filenames.txt), RTI folders (.lp), "
+    "psmImages lists (NAME.txt beside lights.txt), folders of PNG, TIFF, JPEG or EXR pictures with lights.txt"
 )
 
 

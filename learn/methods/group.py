@@ -12,21 +12,24 @@ from torch import Tensor, nn
 
 from learn.models import create_model
 from learn.models.evidence import luminance
-from learn.models.group import GroupLayers
+from learn.models.group import GroupLayers, shrink_of
 from learn.solve import angle, unit, weighted_least_squares
 from learn.world import CaptureBatch, World
-
-DROPPED = 0.1
-"""Share of batches in which the network is not told the lights."""
 
 PLAIN = 0.3
 """Weight of the normal that plain least squares finds on the matte layer: the pictures have to be right without the confidence too."""
 
-PICTURE = {"matte": 0.25, "diffuse": 0.1}
+PICTURE = {"matte": 0.25, "diffuse": 0.2}
 """Weights of the logarithmic errors of the layers."""
 
-FIRST = 0.4
-"""Weight of the layers before the refinement."""
+EARLIER = 0.4
+"""Weight of the layers before the refinements, all together."""
+
+KNEE = 1.0
+"""Degrees: errors of a capture well above it count by their ratio, so that easy captures are brought down as far as hard ones."""
+
+MEASURED = 3
+"""Fewest lights whose least squares says anything of a normal; with fewer the pictures alone are judged."""
 
 FLOOR = 0.03
 """Share of the pixel's brightness that is added before a logarithm: what is darker hardly counts."""
@@ -47,21 +50,19 @@ class Group:
         return World(data, batch, seed if split == "train" else seed + 1_000_003, device)
 
     def loss(self, model: nn.Module, batch: CaptureBatch, progress: float) -> tuple[Tensor, dict[str, Tensor]]:
-        """The angle of the measured normal in degrees, with and without confidence, and the logarithmic errors of the layers."""
-        # Whether the lights are told is a fact of the batch, so that a resumed run decides alike.
-        told = not model.training or float(batch.lights.abs().sum() * 7919) % 1 >= DROPPED
-        found: GroupLayers = model(
-            batch.images, batch.lights if told else None, batch.valid, batch.mask, None if told else batch.lights
-        )
+        """The logarithms of each capture's mean angle of the measured normal, with and without confidence, and the layers' errors."""
+        told = not model.training or batch.told
+        lights, solve = (batch.lights, None) if told else (None, batch.lights)
+        found: GroupLayers = model(batch.images, lights, batch.valid, batch.mask, solve, shrink_of(batch.mask))
         total, figures = judge(found, batch)
-        if found.first is not None:
-            total = total + FIRST * judge(found.first, batch)[0]
+        for layers in found.earlier:
+            total = total + EARLIER / len(found.earlier) * judge(layers, batch)[0]
         return total, figures
 
     def samples(self, model: nn.Module, batch: CaptureBatch) -> NDArray[np.uint8]:
         """Rows of captures: brightest-lit picture, specular, matte, true matte, confidence, normals found and true."""
         with torch.no_grad():
-            found: GroupLayers = model(batch.images, batch.lights, batch.valid, batch.mask)
+            found: GroupLayers = model(batch.images, batch.lights, batch.valid, batch.mask, shrink=shrink_of(batch.mask))
         rows = []
         for i in range(min(6, len(batch.images))):
             k = int(batch.specular[i].sum((1, 2, 3)).argmax())
@@ -78,23 +79,27 @@ class Group:
 def judge(found: GroupLayers, batch: CaptureBatch) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss of layers against the truth of a batch, and its parts in degrees and logarithms."""
     inside = batch.mask.to(batch.images.dtype)
-    pixels = inside.sum().clamp(min=1)
-
-    def degrees(weights: Tensor, images: Tensor) -> Tensor:
-        n = unit(weighted_least_squares(luminance(images), batch.lights, weights))
-        return torch.rad2deg(angle(n, batch.normals)).mul(inside).sum() / pixels
-
+    pixels = inside.sum((1, 2)).clamp(min=1)
     shown = batch.valid.to(batch.images.dtype)
-    measured = torch.rad2deg(angle(found.normals, batch.normals)).mul(inside).sum() / pixels
-    plain = degrees(shown + 1e-3, found.matte)
+
+    def degrees(normals: Tensor) -> Tensor:
+        """Each capture's mean error."""
+        return torch.rad2deg(angle(normals, batch.normals)).mul(inside).sum((1, 2)) / pixels
+
+    def plainly(images: Tensor) -> Tensor:
+        return degrees(unit(weighted_least_squares(luminance(images), batch.lights, shown + 1e-3)))
+
+    measured, plain = degrees(found.normals), plainly(found.matte)
     with torch.no_grad():
-        before = degrees(shown + 1e-3, batch.images)
+        before = plainly(batch.images)
     floor = FLOOR * luminance(batch.matte).mean(1, keepdim=True).unsqueeze(2) + 1e-4
     errors = {name: _log_error(getattr(found, name), getattr(batch, name), floor, shown * inside[:, None]) for name in PICTURE}
-    total = 0.1 * (measured + PLAIN * plain)
+    total = measured.new_zeros(())
+    if batch.lights.shape[1] >= MEASURED:
+        total = total + (torch.log(measured + KNEE) + PLAIN * torch.log(plain + KNEE)).mean()
     for name, weight in PICTURE.items():
         total = total + weight * errors[name]
-    figures = {"degrees": measured, "degrees_plain": plain, "degrees_input": before}
+    figures = {"degrees": measured.mean(), "degrees_plain": plain.mean(), "degrees_input": before.mean()}
     return total, {
         **{key: value.detach() for key, value in figures.items()},
         **{f"log_{n}": e.detach() for n, e in errors.items()},

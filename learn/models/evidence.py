@@ -8,18 +8,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 
 import torch
 from torch import Tensor
 
 from gen.capture import LUMA
-from learn.solve import robust_start, shading, unit, weighted_least_squares
+from learn.solve import in_full, robust_start, shading, unit, weighted_least_squares
 
 TRIPLETS = 20
 """Most triplets of lights that are solved: all of up to six lights, the best spread of more."""
 
-CHANNELS = 19
+CHANNELS = 21
 """Features of a sample."""
+
+COLOUR_ALONE = 8
+"""Features that need no lights."""
+
+LIT = 0.1
+"""Share of the pixel's brightness below which a sample's colour says nothing."""
+
+FLAT = 0.1
+"""Triplets that span less than this share of the best one's volume predict nothing that can be relied on, and are left out."""
 
 
 @dataclass(frozen=True)
@@ -35,33 +45,43 @@ CUT = 20.0
 """Luma over the pixel's brightness above which it does not matter how bright a highlight is."""
 
 
+@in_full
 def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor) -> Evidence:
     """The features of every sample.
 
     images: (B, K, 3, H, W) reflectance, may be slightly negative. lights: (B, K, 3) unit, or None where unknown. valid: (B, K, H, W) bool.
     mask: (B, H, W) bool. Features: square roots of the three channels over the pixel's brightness; validity; how grey the sample is beside
-    the pixel's most colourful; the pixel's brightness beside the picture's (log); and with lights known: their direction, a robust
-    Lambertian normal with n.l and n.h, the residual of its fit, of the fit without this sample, and of the least and the median prediction
-    of this sample from triplets of the others.
+    the pixel's most colourful, and how colourful that one is; what the colour says of the diffuse share (`diffuse_by_colour`, log); the
+    pixel's brightness beside the picture's (log); and with lights known: their direction, a robust Lambertian normal with n.l and n.h,
+    the residual of its fit, of the fit without this sample, and of the least and the median prediction of this sample from triplets of
+    the others.
     """
     b, k, _, h, w = images.shape
     inside = mask[:, None].to(images.dtype)
     luma = luminance(images).clamp(min=0) * inside
-    level = (luma.sum((1, 2, 3)) / (inside.sum((1, 2, 3)) * k).clamp(min=1))[:, None, None, None]
-    scale = luma.clamp(min=1e-12).sqrt().mean(1, keepdim=True).square() + 0.01 * level + 1e-6
+    dim = luma.clamp(min=1e-12).sqrt().mean(1, keepdim=True)
+    # A mean of roots over the picture, so that highlights, however bright, hardly move it.
+    level = ((dim * inside).sum((2, 3), keepdim=True) / inside.sum((2, 3), keepdim=True).clamp(min=1)).square()
+    # Of a pixel too, but no more than that of its lights' middle one (or the picture's, where most are shadowed) allows: else a strong
+    # highlight would make all other samples look dark.
+    middle = luma.sort(1).values[:, (k - 1) // 2, None]
+    scale = torch.minimum(dim.square(), torch.maximum(3 * middle, level)) + 0.01 * level + 1e-6
     y = (luma / scale).clamp(max=CUT)
     shown = valid.to(images.dtype)
     colour = (images / scale.unsqueeze(2)).clamp(0, CUT)
     top = images.amax(2).clamp(min=1e-6)
     saturation = (1 - images.amin(2).clamp(min=0) / top) * inside
+    most = (saturation * (y > LIT)).amax(1, keepdim=True)
     parts = [
         colour.sqrt().flatten(0, 1),
         shown.reshape(b * k, 1, h, w),
-        (saturation.amax(1, keepdim=True) - saturation).reshape(b * k, 1, h, w),
+        (most - saturation).reshape(b * k, 1, h, w),
+        most.expand(b, k, h, w).reshape(b * k, 1, h, w),
+        (torch.log((diffuse_by_colour(images, y) + 0.03) / (y + 0.03)) * inside).reshape(b * k, 1, h, w),
         (torch.log(scale / (level + 1e-6)).clamp(-4, 4) * inside).expand(b, k, h, w).reshape(b * k, 1, h, w),
     ]
     if lights is None:
-        parts.append(images.new_zeros(b * k, CHANNELS - 6, h, w))
+        parts.append(images.new_zeros(b * k, CHANNELS - COLOUR_ALONE, h, w))
     else:
         parts.append(_geometry(y, lights, shown).flatten(0, 1))
     features = torch.cat(parts, 1) * mask.repeat_interleave(k, 0).unsqueeze(1)
@@ -83,6 +103,19 @@ def _geometry(y: Tensor, lights: Tensor, shown: Tensor) -> Tensor:
     return torch.cat([direction, n[:, None].expand(b, k, 3, h, w), maps, known], 2)
 
 
+def diffuse_by_colour(images: Tensor, y: Tensor) -> Tensor:
+    """What a white gloss leaves of each sample by its colour alone, in the units of y and at most y; 0 where the pixel is grey.
+
+    images: (B, K, 3, H, W). y: (B, K, H, W) luma in any unit. Gloss adds the same to all channels, so the difference of the largest and
+    the smallest is diffuse; the lit sample with the least luma for its difference is taken as free of gloss.
+    Source: the dichromatic model, S. Shafer, Color Research and Application 10(4), 1985.
+    """
+    shown = images.clamp(min=0)
+    chroma = shown.amax(2) - shown.amin(2)
+    ratio = torch.where((y > LIT) & (chroma > 0), y / chroma.clamp(min=1e-9), torch.inf).amin(1, keepdim=True)
+    return torch.minimum(torch.where(ratio.isfinite(), chroma * ratio, 0.0), y)
+
+
 def luminance(images: Tensor) -> Tensor:
     """Luma (B, K, H, W) of (B, K, 3, H, W)."""
     r, g, b = images.unbind(2)
@@ -90,6 +123,7 @@ def luminance(images: Tensor) -> Tensor:
     return red * r + green * g + blue * b
 
 
+@in_full
 def toward(n: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
     """n.l and n.h, each (B, K, H, W), h the half vector of the light and the view along +z. n: (B, 3, H, W). lights: (B, K, 3)."""
     half = lights + lights.new_tensor([0.0, 0.0, 1.0])
@@ -118,27 +152,33 @@ def triplet_predictions(y: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
     b, k, h, w = y.shape
     if k < 4:
         return y, y
-    chosen, inverse = _triplets(lights)
+    chosen, inverse, flat = _triplets(lights)
     t = chosen.shape[1]
-    flat = y.reshape(b, k, h * w)
-    samples = torch.gather(flat, 1, chosen.reshape(b, t * 3, 1).expand(-1, -1, h * w)).reshape(b, t, 3, h * w)
+    given = y.reshape(b, k, h * w)
+    samples = torch.gather(given, 1, chosen.reshape(b, t * 3, 1).expand(-1, -1, h * w)).reshape(b, t, 3, h * w)
     # l_k . (L_t^-1 y_t): the weights of the three samples in each prediction
     mixing = torch.einsum("bki,btij->bktj", lights, inverse)
-    used = (chosen[:, None] == torch.arange(k, device=y.device)[None, :, None, None]).any(-1)
+    unfit = (chosen[:, None] == torch.arange(k, device=y.device)[None, :, None, None]).any(-1) | flat[:, None]
+    # Of a sample's triplets the fit ones come first; no more are looked at than there are without it.
+    order = (~unfit).to(y.dtype).topk(min(comb(k - 1, 3), t), 2).indices
     least, median = [], []
     for i in range(k):
-        predicted = torch.einsum("btj,btjp->btp", mixing[:, i], samples).clamp(0, CUT)
-        predicted = torch.where(used[:, i, :, None], predicted.new_full((), torch.inf), predicted)
+        mine = order[:, i]
+        weights = torch.gather(mixing[:, i], 1, mine[..., None].expand(-1, -1, 3))
+        of_mine = torch.gather(samples, 1, mine[..., None, None].expand(-1, -1, 3, h * w))
+        predicted = torch.einsum("btj,btjp->btp", weights, of_mine).clamp(0, CUT)
+        out = torch.gather(unfit[:, i], 1, mine)
+        predicted = predicted.masked_fill(out[..., None], torch.inf)
         ordered = predicted.sort(1).values
-        others = (~used[:, i]).sum(1)
-        least.append(torch.where(ordered[:, 0].isfinite(), ordered[:, 0], flat[:, i]))
+        others = (~out).sum(1)
+        least.append(torch.where(ordered[:, 0].isfinite(), ordered[:, 0], given[:, i]))
         middle = torch.gather(ordered, 1, ((others - 1).clamp(min=0) // 2)[:, None, None].expand(-1, 1, h * w))[:, 0]
-        median.append(torch.where(middle.isfinite(), middle, flat[:, i]))
+        median.append(torch.where(middle.isfinite(), middle, given[:, i]))
     return torch.stack(least, 1).reshape(b, k, h, w), torch.stack(median, 1).reshape(b, k, h, w)
 
 
-def _triplets(lights: Tensor) -> tuple[Tensor, Tensor]:
-    """The triplets whose directions span best: indices (B, T, 3) and inverses of their directions (B, T, 3, 3).
+def _triplets(lights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The triplets whose directions span best: indices (B, T, 3), inverses of their directions (B, T, 3, 3), and which are `FLAT` (B, T).
 
     Chosen over the lights in order of direction, so that the order in which pictures come makes no difference.
     """
@@ -147,14 +187,13 @@ def _triplets(lights: Tensor) -> tuple[Tensor, Tensor]:
     key = (lights * lights.new_tensor([1.0, 1.618, 2.414])).sum(-1)
     index = torch.argsort(key, 1)[:, every]
     directions = torch.gather(lights, 1, index.reshape(b, -1, 1).expand(-1, -1, 3)).reshape(b, -1, 3, 3)
-    determinant = torch.linalg.det(directions)
-    best = determinant.abs().topk(min(TRIPLETS, index.shape[1]), 1).indices
+    volume, best = torch.linalg.det(directions).abs().topk(min(TRIPLETS, index.shape[1]), 1)
     index = torch.gather(index, 1, best[..., None].expand(-1, -1, 3))
     directions = torch.gather(directions, 1, best[..., None, None].expand(-1, -1, 3, 3))
     # Coplanar lights have no inverse: the pseudo-inverse gives a bounded prediction.
-    return index, torch.linalg.pinv(directions, rtol=0.05)
+    return index, torch.linalg.pinv(directions, rtol=0.05), volume < FLAT * volume[:, :1].clamp(min=1e-6)
 
 
 def _squash(x: Tensor) -> Tensor:
     """Signed square root: small residuals are told apart, large ones do not drown them."""
-    return torch.sign(x) * (x.abs() + 1e-4).sqrt()
+    return torch.sign(x) * ((x.abs() + 1e-4).sqrt() - 1e-2)

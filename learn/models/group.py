@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from gen.errors import InputError
 from learn.models.evidence import CHANNELS, evidence, luminance, toward
-from learn.solve import shading, unit, weighted_least_squares
+from learn.solve import in_full, shading, unit, weighted_least_squares
 
 OUTPUTS = 7
 """Per sample: log gain of matte over input (3 channels), logit of the diffuse share (3), logit of the confidence."""
@@ -24,13 +24,19 @@ DOUBTED = -4.0
 MATTE = 5.0
 """Logit of the diffuse share before training: nearly all of the input is diffuse."""
 
+SEEN_ACROSS = 64
+"""Pixels across, about, at which the trunk looks at an object: as large as it was in training."""
+
+MOST_SHRUNK = 16
+"""How far a picture is shrunk for the trunk at most."""
+
 
 @dataclass(frozen=True)
 class GroupLayers:
     """matte, diffuse, specular: (B, K, 3, H, W), in the input's units. confidence: (B, K, H, W) in (0, 1).
 
     normals: (B, 3, H, W) unit, of weighted least squares on the matte layer; zero where the lights are unknown.
-    first: the same before the refinement, for the loss; None in `eval`.
+    earlier: the same before each refinement, for the loss; empty in `eval`.
     """
 
     matte: Tensor
@@ -38,13 +44,15 @@ class GroupLayers:
     specular: Tensor
     confidence: Tensor
     normals: Tensor
-    first: GroupLayers | None = None
+    earlier: tuple[GroupLayers, ...] = ()
 
 
 class GroupNet(nn.Module):
     """Encoder and decoder shared by all pictures, with features exchanged over the lights at each scale; a head at every pixel.
 
-    widths: channels at 1/2, 1/4, 1/8 and 1/16 of the size. head: channels of the full-size head. No layer mixes a picture with another but
+    widths: channels at 1/2, 1/4, 1/8 and 1/16 of the size. head: channels of the full-size head. rounds: how often the head looks again at
+    what the normal that it found says of each sample, with the same weights each time. The trunk may look at smaller pictures than the head
+    (`shrink`), so that a large object looks to it as it did in training. No layer mixes a picture with another but
     by the mean and the largest over the lights, so any number of pictures in any order will do. Every norm is over the channels of one
     pixel: of a whole picture nothing enters but its mean brightness (see `learn.models.evidence`). The last layers begin at zero: an
     untrained network hands back the input with equal weights, which is least squares.
@@ -52,11 +60,14 @@ class GroupNet(nn.Module):
     Source: the exchange by maximum follows G. Chen, K. Han and K.-Y. Wong, "PS-FCN", ECCV 2018; the rest is ours.
     """
 
-    def __init__(self, widths: list[int] | None = None, head: int = 24) -> None:
+    def __init__(self, widths: list[int] | None = None, head: int = 24, rounds: int = 1) -> None:
         super().__init__()
         self.widths = [16, 32, 48, 64] if widths is None else list(widths)
         if len(self.widths) < 2 or any(type(n) is not int or not 4 <= n <= 512 for n in (*self.widths, head)):
             raise InputError(f"group: widths = {self.widths} and head = {head} must be 2 or more whole numbers from 4 to 512")
+        if type(rounds) is not int or not 0 <= rounds <= 8:
+            raise InputError(f"group: rounds = {rounds!r} must be a whole number from 0 to 8")
+        self.rounds = rounds
         down, up = [], []
         before = CHANNELS
         for width in self.widths:
@@ -74,36 +85,44 @@ class GroupNet(nn.Module):
         self.change = _zero(nn.Conv2d(head, OUTPUTS, 1))
 
     def forward(
-        self, images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor, solve: Tensor | None = None
+        self,
+        images: Tensor,
+        lights: Tensor | None,
+        valid: Tensor,
+        mask: Tensor,
+        solve: Tensor | None = None,
+        shrink: int = 1,
     ) -> GroupLayers:
         """The layers of captures. See `GroupLayers`.
 
         images: (B, K, 3, H, W) radiance over light intensity. lights: (B, K, 3) unit, or None where unknown. valid: (B, K, H, W) bool.
-        mask: (B, H, W) bool. solve: lights for the normals alone, which the network does not see (training without lights).
+        mask: (B, H, W) bool. solve: lights for the normals alone, which the network does not see (training without lights). shrink: the
+        trunk looks at means of shrink x shrink pixels, see `shrink_of`.
         """
         b, k, _, h, w = images.shape
         given = evidence(images, lights, valid, mask)
         features = given.features.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+        seen = features if shrink == 1 else shrunk_features(images, lights, valid, mask, shrink)
         step = 1 << len(self.widths)
-        padded = F.pad(features, (0, -w % step, 0, -h % step))
-        x, skips = padded, []
+        x, skips = F.pad(seen, (0, -seen.shape[3] % step, 0, -seen.shape[2] % step)), []
         for down in self.down:
             x = down(x, k)
             skips.append(x)
         for up, skip in zip(self.up, skips[-2::-1], strict=True):
             x = up(x, skip)
-        coarse = F.interpolate(self.coarse(x), scale_factor=2, mode="bilinear", align_corners=False)[..., :h, :w]
+        coarse = F.interpolate(self.coarse(x), scale_factor=2 * shrink, mode="bilinear", align_corners=False)[..., :h, :w]
         hidden = F.relu(self.mix(F.relu(self.fine(features) + coarse)))
-        first = self.out(hidden).reshape(b, k, OUTPUTS, h, w)
+        outputs = self.out(hidden).reshape(b, k, OUTPUTS, h, w)
         known = lights if solve is None else solve
         doubt = DOUBTED * (~valid)
-        one = assemble(images, first, doubt, known)
-        if lights is None:
-            return one
-        refined = self._look_again(given.y, given.scale, one, lights).flatten(0, 1) * mask.repeat_interleave(k, 0).unsqueeze(1)
-        hidden = F.relu(self.again(F.relu(self.look(refined) + hidden)))
-        two = assemble(images, first + self.change(hidden).reshape(b, k, OUTPUTS, h, w), doubt, known)
-        return GroupLayers(two.matte, two.diffuse, two.specular, two.confidence, two.normals, one if self.training else None)
+        found, earlier = assemble(images, outputs, doubt, known), []
+        for _ in range(self.rounds if lights is not None else 0):
+            earlier.append(found)
+            look = self._look_again(given.y, given.scale, found, lights).flatten(0, 1) * mask.repeat_interleave(k, 0).unsqueeze(1)
+            hidden = F.relu(self.again(F.relu(self.look(look) + hidden)))
+            outputs = outputs + self.change(hidden).reshape(b, k, OUTPUTS, h, w)
+            found = assemble(images, outputs, doubt, known)
+        return replace(found, earlier=tuple(earlier)) if self.training else found
 
     @staticmethod
     def _look_again(y: Tensor, scale: Tensor, found: GroupLayers, lights: Tensor) -> Tensor:
@@ -148,11 +167,39 @@ class Up(nn.Module):
         return F.relu(pixel_norm(self.join(x)) + skip)
 
 
+def shrink_of(mask: Tensor) -> int:
+    """By how much a picture is shrunk for the trunk: to about `SEEN_ACROSS` pixels across the object, of several the mean.
+
+    mask: (..., H, W) bool.
+    """
+    across = float(mask.flatten(-2).sum(-1).float().mean()) ** 0.5
+    return min(max(round(across / SEEN_ACROSS), 1), MOST_SHRUNK)
+
+
+def shrunk_features(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor, shrink: int) -> Tensor:
+    """The features (B * K, CHANNELS, h, w) of pictures whose pixels are the means over shrink x shrink of the object's."""
+    b, k, _, h, w = images.shape
+    edge = (0, -w % shrink, 0, -h % shrink)
+
+    def mean(maps: Tensor) -> Tensor:
+        return F.avg_pool2d(F.pad(maps, edge), shrink)
+
+    inside = mask[:, None].to(images.dtype)
+    covered = mean(inside)
+    share = covered.clamp(min=1e-6).repeat_interleave(k, 0)
+    small = mean((images * inside[:, None]).flatten(0, 1)) / share
+    shown = mean((valid * inside).flatten(0, 1)[:, None]) / share > 0.5
+    size = small.shape[-2:]
+    given = evidence(small.reshape(b, k, 3, *size), lights, shown.reshape(b, k, *size), covered[:, 0] >= 0.5)
+    return given.features.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+
+
 def pixel_norm(x: Tensor) -> Tensor:
     """x over the root mean square of its channels at each pixel, (N, C, H, W)."""
     return x * torch.rsqrt(x.square().mean(1, keepdim=True) + 1e-4)
 
 
+@in_full
 def assemble(images: Tensor, outputs: Tensor, doubt: Tensor, lights: Tensor | None) -> GroupLayers:
     """Layers of the network's outputs (B, K, OUTPUTS, H, W) for images (B, K, 3, H, W); normals zero where lights is None.
 

@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 from gen.capture import Capture, Floats, grey
 from recon.gloss import remove, workable
 from recon.gloss.geometry import SHADOW, fit, half_vectors, smoothstep
+from recon.normals.completion import complete
 from recon.registry import Layers
 
 SPARSITY = 1.25
 """lambda of the paper times the square root of the number of pixels; 1 is its theory's value."""
-
-LIGHT_PRIOR = 0.2
-"""Weight of the known lights' subspace beside the samples' own, when the three dimensions of the shading are chosen."""
 
 MIRROR = (0.70, 0.90)
 """n.h between which a sparse error turns into gloss: the surface mirrors the light toward the camera."""
@@ -22,9 +20,6 @@ MIRROR = (0.70, 0.90)
 MISFIT = (0.02, 0.06)
 """Residual of a plain Lambertian fit, over the pixel's largest sample, between which a pixel counts as not matte."""
 
-GROWTH = 1.3
-CHUNK = 16384
-ITERATIONS = 40
 CONVERGED = 1e-4
 
 
@@ -54,7 +49,7 @@ def low_rank(capture: Capture) -> Layers:
     top = np.where(usable, luma, 0).max(axis=0)
     scaled = luma / np.where(top > 0, top, 1)
     known = usable & (scaled > SHADOW)
-    shading = complete(scaled, known, capture.lights)
+    shading = complete(scaled, known, capture.lights, SPARSITY, both_signs=False, converged=CONVERGED)
     b = np.linalg.pinv(capture.lights).astype(np.float32) @ shading
     mirror = half_vectors(capture.lights) @ (b / np.maximum(np.sqrt(np.square(b).sum(axis=0)), 1e-9))
     excess = np.maximum(scaled - np.maximum(shading, 0), 0) * top
@@ -75,53 +70,3 @@ def disagreement(scaled: Floats, known: NDArray[np.bool_], lights: NDArray[np.fl
     L = lights.astype(np.float32)
     residual = weight * (scaled - L @ fit(scaled, weight, L))
     return smoothstep(np.sqrt(np.square(residual).sum(axis=0)), *MISFIT)
-
-
-def complete(D: Floats, known: NDArray[np.bool_], lights: NDArray[np.float64]) -> Floats:
-    """The rank-3 part A of D = A + E on the known entries, E sparse and not negative.
-
-    D, known: (K, P). lights: (K, 3). Inexact ALM: A by shrinking the singular values of F = D - E + Y / mu with the unknown entries taken
-    from A, E by one-sided soft thresholding, Y by the violation, mu growing. P is large and K small, so the singular vectors are
-    eigenvectors of the K x K Gram matrix, to which `LIGHT_PRIOR` adds the projector onto the lights' subspace. Returns A (K, P).
-    """
-    K, P = D.shape
-    D = np.where(known, D, 0).astype(np.float32)
-    size = float(np.linalg.norm(D))
-    if size == 0:
-        return D
-    span = np.linalg.svd(lights, full_matrices=False)[0]
-    projector = span @ span.T
-    observed, unknown = known.astype(np.float32), (~known).astype(np.float32)
-    gram = (D @ D.T).astype(np.float64)
-    spectral = float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))
-    sparse = float(SPARSITY / np.sqrt(P))
-    mu = 1.25 / spectral
-    Y = D / np.float32(max(spectral, float(D.max()) / sparse))
-    F = D + Y / np.float32(mu)
-    gram = (F @ F.T).astype(np.float64)
-    A = np.empty_like(D)
-    for _ in range(ITERATIONS):
-        V = np.linalg.eigh(gram + LIGHT_PRIOR * np.trace(gram) * projector)[1][:, -3:]
-        singular = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", V, gram, V), 0))
-        kept = np.maximum(singular - 1 / mu, 0) / np.maximum(singular, 1e-12)
-        shrink = ((V * kept) @ V.T).astype(np.float32)
-        step, threshold, next_mu = np.float32(mu), np.float32(sparse / mu), np.float32(mu * GROWTH)
-        gram = np.zeros((K, K))
-        violation = 0.0
-        # One pass in pieces that stay in the processor's cache, which also gathers the next Gram matrix.
-        for start in range(0, P, CHUNK):
-            c = np.s_[:, start : start + CHUNK]
-            A[c] = shrink @ F[c]
-            rest = D[c] - A[c]
-            E = np.maximum(rest + Y[c] / step - threshold, 0)
-            rest -= E
-            rest *= observed[c]
-            E *= observed[c]
-            violation += float(np.vdot(rest, rest))
-            Y[c] += step * rest
-            F[c] = D[c] - E + Y[c] / next_mu + unknown[c] * A[c]
-            gram += F[c] @ F[c].T
-        mu *= GROWTH
-        if violation < (CONVERGED * size) ** 2:
-            break
-    return A

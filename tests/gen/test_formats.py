@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,10 @@ def write_folder(kind: str, folder: Path, scene: Capture) -> Path:
         (folder / "thing.txt").write_text(f"{len(names)}\n" + "\n".join(listed) + "\n")
         table(folder / "lights.txt", scene.lights, f"{len(names)}\n")
         return folder / "thing"
+    elif kind == "photos":
+        says = {"images": "shot*.png", "lights": {"directions": scene.lights.tolist()}, "intensities": "equal"}
+        (folder / "capture.yaml").write_text(json.dumps(says))
+        write_png(folder / "normals.png", normals)
     else:
         table(folder / "lights.txt", scene.lights)
         write_png(folder / "normals.png", normals)
@@ -99,7 +104,7 @@ def test_what_is_not_known_is_said_in_one_line(tmp_path: Path) -> None:
         read_capture(tmp_path / "absent")
     with pytest.raises(InputError, match="no such file or folder"):
         read(tmp_path / "absent", format="plain")
-    with pytest.raises(InputError, match=r"format 'exif' is unknown; there are render, diligent"):
+    with pytest.raises(InputError, match=r"format 'exif' is unknown; there are render, photos, diligent"):
         read(tmp_path, format="exif")
     with pytest.raises(InputError, match="srgb or linear"):
         read_capture(tmp_path, "log")

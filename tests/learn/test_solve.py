@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.models.evidence import triplet_predictions
+from learn.models.evidence import diffuse_by_colour, luminance, triplet_predictions
 from learn.solve import angle, robust_start, shading, unit, weighted_least_squares
 
 
@@ -68,3 +68,28 @@ def test_triplets_predict_a_lambertian_sample_exactly_and_shun_a_highlight() -> 
     glossy[:, 4] += 2
     _, median = triplet_predictions(glossy, lights)
     assert abs(float(median[0, 4]) - float(y[0, 4])) < 2e-3  # the others' say does not depend on it
+
+
+def test_triplets_that_are_nearly_in_a_plane_predict_nothing() -> None:
+    """Three lights on a line through the view make up any shading from noise; the others predict it well."""
+    tilts = np.radians([-40, 0.5, 40])
+    flat = np.stack([np.sin(tilts), [0.0, 0.012, 0.0], np.cos(tilts)], 1)
+    sides = np.array([[0.1, 0.6, 0.8], [0.2, -0.6, 0.75]])
+    directions = np.concatenate([flat, sides])
+    lights = torch.tensor(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=torch.float32)[None]
+    y = shading(unit(torch.tensor([0.1, 0.2, 1.0]).reshape(1, 3, 1, 1)), lights).expand(1, 5, 40, 40)
+    noisy = y + 0.003 * torch.randn(y.shape, generator=torch.Generator().manual_seed(0))
+    least, _ = triplet_predictions(noisy, lights)
+    assert float((least - y).abs().max()) < 0.12
+
+
+def test_colour_tells_the_diffuse_share_exactly_where_one_sample_has_no_gloss() -> None:
+    rng = np.random.default_rng(0)
+    colour = torch.tensor([0.6, 0.3, 0.1]).reshape(1, 1, 3, 1, 1)
+    diffuse = colour * torch.tensor(rng.uniform(0.3, 1, (1, 5, 1, 4, 4)), dtype=torch.float32)
+    gloss = torch.tensor(rng.uniform(0, 2, (1, 5, 1, 4, 4)), dtype=torch.float32)
+    gloss[:, 2] = 0
+    pictures = diffuse + gloss
+    assert torch.allclose(diffuse_by_colour(pictures, luminance(pictures)), luminance(diffuse), atol=1e-5)
+    grey = pictures.mean(2, keepdim=True).expand(-1, -1, 3, -1, -1)
+    assert float(diffuse_by_colour(grey, luminance(grey)).abs().max()) < 1e-5

@@ -20,7 +20,7 @@ from learn.views import ViewBank, Views, height_in_pixels, moved, random_relief,
 from learn.world import CaptureBatch, World, relight
 
 CPU = torch.device("cpu")
-SMALL = {"size": 32}
+SMALL = {"size": 32, "large": 0.0}
 
 
 def bowl(size: int, m_per_pixel: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -63,7 +63,8 @@ def pack_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def same(one: CaptureBatch, two: CaptureBatch) -> bool:
-    return all(torch.equal(getattr(one, f.name), getattr(two, f.name)) for f in fields(CaptureBatch))
+    pairs = [(getattr(one, f.name), getattr(two, f.name)) for f in fields(CaptureBatch)]
+    return all(torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b for a, b in pairs)
 
 
 @pytest.mark.parametrize("views", [False, True])
@@ -109,6 +110,23 @@ def test_a_batch_is_what_it_says(kind: str, pack_path: Path) -> None:
         assert b.valid.float().mean() > 0.2
 
 
+def test_a_share_of_the_batches_is_large_and_a_share_is_not_told_the_lights(pack_path: Path) -> None:
+    world = World({"size": 24, "lights": 3, "large": 0.5, "dropped": 0.5, "views": str(pack_path)}, 8, seed=4)
+    batches = [world.batch(step) for step in range(24)]
+    shapes = {tuple(b.images.shape) for b in batches}
+    assert shapes == {(8, 3, 3, 24, 24), (2, 3, 3, 48, 48)}
+    assert 4 < sum(len(b.images) == 2 for b in batches) < 20
+    assert 4 < sum(b.told for b in batches) < 20
+    assert world.pictures == 15
+
+
+def test_what_is_looked_at_from_nearer_keeps_its_slopes(pack_path: Path) -> None:
+    bank = ViewBank(read_pack(pack_path), 24, CPU)
+    views = bank.crops(Draws(3, 0, CPU), 6, 80)  # larger than the pack's pictures: all drawn out
+    assert views.mask.shape == (6, 80, 80)
+    slopes_agree(views, 1.0)
+
+
 def test_the_narrow_world_is_lambertian_and_true_where_nothing_shines() -> None:
     """Its pictures are the layers' sum where valid, up to noise, and its matte twin is albedo * n.l of the stated lights: rank one."""
     b = World({**SMALL, "world": "narrow", "lights": 5}, 16, seed=3).batch(0)
@@ -124,7 +142,7 @@ def test_the_narrow_world_is_lambertian_and_true_where_nothing_shines() -> None:
 
 
 def test_the_wide_world_is_as_shiny_and_as_matte_as_promised() -> None:
-    world = World({"size": 16, "lights": 2}, 64, seed=2)
+    world = World({"size": 16, "lights": 2, "large": 0.0}, 64, seed=2)
     share = []
     for step in range(3):
         b = world.batch(step)

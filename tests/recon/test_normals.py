@@ -39,6 +39,8 @@ def matte_three(synthetic: Synthetic) -> Capture:
 
 
 def test_exact_on_matte_samples(solver: str, synthetic: Synthetic) -> None:
+    if solver == "coat":
+        pytest.skip("coat takes the samples for a coated surface's; tests/recon/test_coat.py holds it to that")
     capture = matte_three(synthetic)
     result = solve(solver, capture)
     lit = lit_pixels(capture)
