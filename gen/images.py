@@ -116,7 +116,7 @@ def read_frames(paths: Sequence[Path], encoding: str | None = None) -> Frames:
     first = read_image(paths[0], encoding)
     H, W = first.clipped.shape
     need = len(paths) * H * W * 13
-    if need > _memory():
+    if need > memory():
         raise InputError(
             f"{paths[0].parent}: {len(paths)} pictures of {W}x{H} need {need / 1e9:.0f} GB of memory; crop or shrink them"
         )
@@ -125,19 +125,7 @@ def read_frames(paths: Sequence[Path], encoding: str | None = None) -> Frames:
 
     def put(k: int) -> None:
         picture = read_image(paths[k], encoding) if k else first
-        h, w = picture.clipped.shape
-        if (h, w) != (H, W):
-            raise InputError(f"{paths[k]}: is {w}x{h} pixels, but {paths[0].name} is {W}x{H}; all pictures must have one size")
-        if picture.orientation != first.orientation:
-            raise InputError(
-                f"{paths[k]}: its EXIF orientation is {picture.orientation}, that of {paths[0].name} is {first.orientation}; "
-                "turn all pictures the same way"
-            )
-        if picture.encoding != first.encoding:
-            raise InputError(
-                f"{paths[k]}: would be read as {picture.encoding} and {paths[0].name} as {first.encoding}; "
-                "say which holds for all, srgb or linear"
-            )
+        require_alike(picture, first, paths[k], paths[0])
         images[k], faults[k] = picture.linear, picture.faults
 
     put(0)
@@ -320,6 +308,23 @@ def _any_channel(flags: Bools) -> Bools:
     return result
 
 
-def _memory() -> int:
+def require_alike(picture: Picture, first: Picture, path: Path, first_path: Path) -> None:
+    """InputError unless a picture has the size, EXIF orientation and encoding of the first of its stack. The paths are for messages."""
+    (h, w), (H, W) = picture.clipped.shape, first.clipped.shape
+    if (h, w) != (H, W):
+        raise InputError(f"{path}: is {w}x{h} pixels, but {first_path.name} is {W}x{H}; all pictures must have one size")
+    if picture.orientation != first.orientation:
+        raise InputError(
+            f"{path}: its EXIF orientation is {picture.orientation}, that of {first_path.name} is {first.orientation}; "
+            "turn all pictures the same way"
+        )
+    if picture.encoding != first.encoding:
+        raise InputError(
+            f"{path}: would be read as {picture.encoding} and {first_path.name} as {first.encoding}; "
+            "say which holds for all, srgb or linear"
+        )
+
+
+def memory() -> int:
     """Bytes of memory of this machine."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

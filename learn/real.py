@@ -13,40 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
 from gen.files import dumps
 from gen.parts import PARTS, data_folder
 from recon.compare import mean_error, truth_figures
+from recon.light_draws import CORRUPT, draws
 from recon.progress import steps
 from recon.reconstruct import Progress, Settings, reconstruct
 from recon.registry import GLOSS, Remover
 
-DRAWS, LIGHTS, CONDITION, SEED = 20, 5, 12.0, 0
-"""Draws an object, lights a draw, the largest condition number of a draw's lights, and the seed of all."""
-
-CORRUPT = {"bear": 20}
-"""How many of an object's first photographs are corrupt in the original set, which says so; none of them is drawn."""
-
-
-def draws(lights: NDArray[np.float64], count: int = DRAWS, size: int = LIGHTS, seed: int = SEED) -> list[list[int]]:
-    """`count` draws of `size` different lights whose condition number is under `CONDITION`, as sorted indices.
-
-    lights: (K, 3) unit. Raises InputError where there are fewer lights than asked for or hardly any draw is well conditioned.
-    """
-    if len(lights) < size:
-        raise InputError(f"a draw of {size} lights cannot be made of {len(lights)}")
-    rng = np.random.default_rng(seed)
-    found: list[list[int]] = []
-    for _ in range(1000 * count):
-        chosen = sorted(int(i) for i in rng.choice(len(lights), size, replace=False))
-        if np.linalg.cond(lights[chosen]) < CONDITION:
-            found.append(chosen)
-            if len(found) == count:
-                return found
-    raise InputError(f"hardly any {size} of these {len(lights)} lights have a condition number under {CONDITION:g}")
+DRAWS, LIGHTS = 20, 5
+"""Draws an object, and lights a draw."""
 
 
 def errors(capture: Capture, remover: Remover | None, repair: str = "none") -> float:

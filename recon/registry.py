@@ -192,18 +192,18 @@ HEIGHT: Registry[Integrator] = Registry(
 )
 
 
-MOST = 10
+MOST_FOR_GROUP = 10
 """Pictures up to which "group" is the default: it was trained on no more, and on a tile of metals under 13 and 49 lights it does harm."""
 
 
 def default_methods(pictures: int, gloss: str | None = None, repair: str | None = None) -> tuple[str, str]:
     """The remover and the repair of a measurement, each by default where it is None.
 
-    pictures: how many the capture has. The remover is "group" with three to `MOST` and torch installed, else "chromaticity". The repair is
-    "none" after "group", whose confidence already says what to distrust, else "telea". Names that are given are not checked.
+    pictures: how many the capture has. The remover is "group" with three to `MOST_FOR_GROUP` and torch installed, else "chromaticity". The
+    repair is "none" after "group", whose confidence already says what to distrust, else "telea". Names that are given are not checked.
     """
     from gen.parts import PARTS
 
     if gloss is None:
-        gloss = "group" if 3 <= pictures <= MOST and PARTS["torch"].look().state == "ok" else "chromaticity"
+        gloss = "group" if 3 <= pictures <= MOST_FOR_GROUP and PARTS["torch"].look().state == "ok" else "chromaticity"
     return gloss, repair or ("none" if gloss == "group" else "telea")

@@ -14,11 +14,11 @@ import pytest
 
 from gen.capture import Capture
 from gen.formats.render_folder import write_render
+from gen.photos.spec import photo_spec
 from gen.sets.set_spec import expand, set_from
 from gen.spec import spec_from
 from gen.strict_yaml import parse_yaml
 from recon.benchmark.spec import Benchmark
-from recon.photos.spec import photo_spec
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from gen.errors import InputError
 READERS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "render": ("gen.formats.render_folder:is_render", "gen.formats.render_folder:read_render"),
-        "photos": ("recon.photos.read:is_photos", "recon.photos.read:read_photos"),
+        "photos": ("gen.photos.read:is_photos", "gen.photos.read:read_photos"),
         "diligent": ("gen.formats.diligent:is_diligent", "gen.formats.diligent:read_diligent"),
         "rti": ("gen.formats.rti:is_rti", "gen.formats.rti:read_rti"),
         "psm": ("gen.formats.psm:is_psm", "gen.formats.psm:read_psm"),

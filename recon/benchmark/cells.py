@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 
 from gen.capture import Capture
 from gen.errors import InputError
-from gen.srgb import linear_to_srgb
 from recon.benchmark.spec import Combination
 from recon.benchmark.units import Unit
 from recon.compare import deviation, truth_figures
 from recon.metrics import angular_error, height_bytes, mse, normal_bytes
+from recon.pictures import crop_box, tone, white_of
 from recon.reconstruct import Settings, Shape, reconstruct
 from recon.registry import GLOSS, Layers
 
@@ -52,8 +53,10 @@ def measure_unit(unit: Unit, combinations: Sequence[Combination]) -> tuple[list[
                 removed[gloss] = (GLOSS.load(gloss)(capture), time.perf_counter() - start)
             layers, seconds = removed[gloss]
             start = time.perf_counter()
-            shapes[combination] = reconstruct(capture, layers, Settings(gloss, repair, normals, height))
+            shape = reconstruct(capture, layers, Settings(gloss, repair, normals, height))
             row["seconds"] = {"gloss": seconds, "rest": time.perf_counter() - start}
+            # Only the maps are judged; with a hundred pictures the rest of every shape would fill the memory.
+            shapes[combination] = replace(shape, images=shape.images[:0], weights=shape.weights[:0])
         except InputError as error:
             row["failed"] = str(error).removeprefix(capture.source).lstrip(": ")
     _judge(capture, shapes, rows, {name: layers for name, (layers, _) in removed.items()})
@@ -100,10 +103,7 @@ def picture_error(capture: Capture, layers: Layers) -> float | None:
     """Mean squared error of 8-bit values of the diffuse layer inside the mask (the paper's Table 1), None where the truth is not known."""
     if capture.truth.diffuse is None:
         return None
-    ours, true = (
-        np.rint(255 * linear_to_srgb(np.clip(part[:, capture.mask], 0, 1))) for part in (layers.diffuse, capture.truth.diffuse)
-    )
-    return mse(ours, true)
+    return mse(tone(layers.diffuse[:, capture.mask]), tone(capture.truth.diffuse[:, capture.mask]))
 
 
 def maps_of(capture: Capture, shapes: Mapping[Combination, Shape]) -> dict[str, NDArray[Any]]:
@@ -112,17 +112,12 @@ def maps_of(capture: Capture, shapes: Mapping[Combination, Shape]) -> dict[str, 
     mask (h, w) bool; picture (h, w, 3), the brightest; and of each combination, by its number, "n0" normals and "z0" heights as bytes
     (h, w, 3) and (h, w), "e0" the angular error in degrees (h, w) float16, NaN where unknown.
     """
-    rows, columns = np.nonzero(capture.mask)
-    top, bottom, left, right = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
-    stride = max(1, -(-max(bottom - top, right - left) // SIDE))
-    box = (slice(top, bottom, stride), slice(left, right, stride))
-    brightest = int(np.argmax(capture.images[:, capture.mask].mean((1, 2))))
-    picture = capture.images[brightest]
-    white = max(float(np.percentile(picture[capture.mask].max(-1), 98)), 1e-6)
-    maps: dict[str, NDArray[Any]] = {
-        "mask": capture.mask[box],
-        "picture": np.rint(255 * linear_to_srgb(np.clip(picture[box] / white, 0, 1))).astype(np.uint8),
-    }
+    rows, columns = crop_box(capture.mask, margin=0)
+    stride = max(1, -(-max(rows.stop - rows.start, columns.stop - columns.start) // SIDE))
+    box = (slice(rows.start, rows.stop, stride), slice(columns.start, columns.stop, stride))
+    brightest = capture.images[int(np.argmax(capture.images[:, capture.mask].mean((1, 2))))]
+    white = white_of(brightest, capture.mask)
+    maps: dict[str, NDArray[Any]] = {"mask": capture.mask[box], "picture": tone(brightest[box], white)}
     reference = next((shape for c, shape in shapes.items() if c[0] == YARDSTICK), next(iter(shapes.values()), None))
     if reference is None:
         return maps

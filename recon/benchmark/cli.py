@@ -46,11 +46,12 @@ def bench(
     from gen.errors import InputError
     from gen.files import dumps, keep_apart, write_json, writing
     from gen.parts import PARTS
+    from gen.sets.set_spec import evenly
     from recon.benchmark.page import benchmark_page
-    from recon.benchmark.run import maps_there, open_folder, run_units
+    from recon.benchmark.run import begin, check_folder, maps_there, run_units
     from recon.benchmark.spec import Source, read_benchmark
     from recon.benchmark.summary import markdown, summarise
-    from recon.benchmark.units import evenly, places, units
+    from recon.benchmark.units import places, units
     from recon.page import write_page
     from recon.progress import steps
 
@@ -66,13 +67,16 @@ def bench(
         wanted = wanted.model_copy(update={"captures": sources})
     if not wanted.captures:
         raise InputError(f"{spec}: names no captures; give their folder, as in: degloss recon bench {spec} FOLDER -o {output}")
-    open_folder(output, wanted, resume)
+    check_folder(output, wanted, resume)
+    if any(source.path is None for source in wanted.captures):
+        begin(output, wanted)  # what is rendered is kept; where nothing is, a slip in the paths leaves no folder behind
     combinations = wanted.combinations()
     try:
         with steps() as step:
             step("finding and rendering captures")
-            where = evenly(places(wanted.captures, folder, output / "captures"), limit)
-            every = units(wanted, where)
+            where = places(wanted.captures, folder, output / "captures")
+            every = units(wanted, [where[i] for i in evenly(len(where), limit)])
+            begin(output, wanted)
             step.expect(len(every))
             rows = run_units(output, every, combinations, workers, lambda done, of: step(f"measuring, {done} of {of} done"))
     except KeyboardInterrupt:

@@ -29,8 +29,8 @@ FORMAT = "degloss benchmark"
 Progress = Callable[[int, int], None]
 
 
-def open_folder(folder: Path, benchmark: Benchmark, resume: bool) -> None:
-    """Make the folder of a run, or check that it is this benchmark's. Raises InputError where it holds something else."""
+def check_folder(folder: Path, benchmark: Benchmark, resume: bool) -> None:
+    """InputError where the folder of a run holds something else, another benchmark, or this one without `resume`."""
     head = folder / HEAD
     if head.is_file():
         said = read_json(head, "the head of a benchmark")
@@ -44,8 +44,12 @@ def open_folder(folder: Path, benchmark: Benchmark, resume: bool) -> None:
             raise InputError(f"{folder}: holds a run of this benchmark; go on with --resume, or choose another folder with -o")
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there and not a benchmark's; choose another folder with -o")
+
+
+def begin(folder: Path, benchmark: Benchmark) -> None:
+    """Make the folder of a run, or leave it as it is where it was begun before."""
     (folder / UNITS).mkdir(parents=True, exist_ok=True)
-    write_json(head, {"format": FORMAT, "digest": benchmark.digest(), "benchmark": benchmark.model_dump(mode="json")})
+    write_json(folder / HEAD, {"format": FORMAT, "digest": benchmark.digest(), "benchmark": benchmark.model_dump(mode="json")})
 
 
 def run_units(

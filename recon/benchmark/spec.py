@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from gen.errors import InputError
 from gen.strict_yaml import first_complaint, parse_yaml, read_yaml
+from recon.light_draws import CONDITION
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Registry
 
 Whole = Annotated[int, Field(strict=True)]
@@ -53,7 +54,7 @@ class Draws(_Part):
 
     count: Whole = Field(ge=1, le=10_000)
     lights: Whole = Field(ge=3, le=1000)
-    max_condition: float = Field(default=12.0, gt=1, le=1e6)
+    max_condition: float = Field(default=CONDITION, gt=1, le=1e6)
 
 
 class Benchmark(_Part):

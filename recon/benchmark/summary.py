@@ -73,16 +73,20 @@ def summarise(rows: Sequence[Row], combinations: Sequence[Combination], seed: in
 
 
 def resamples(captures: Sequence[str], seed: int) -> NDArray[np.int64]:
-    """Indices of units (`RESAMPLES`, n) for a paired bootstrap: captures are drawn, then draws within each; one capture's draws alone."""
+    """Indices of units (`RESAMPLES`, n) for a paired bootstrap: captures are drawn, then draws within each; one capture's draws alone.
+
+    captures: the capture of each unit; all have as many units.
+    """
     rng = np.random.default_rng(seed)
     names = list(dict.fromkeys(captures))
     members = [np.flatnonzero([c == name for c in captures]) for name in names]
+    if len(names) == 1:
+        return rng.choice(members[0], (RESAMPLES, len(members[0])))
     result = []
     for _ in range(RESAMPLES):
-        chosen = [0] if len(names) == 1 else rng.integers(0, len(names), len(names))
+        chosen = rng.integers(0, len(names), len(names))
         result.append(np.concatenate([rng.choice(members[i], len(members[i])) for i in chosen]))
-    size = min((len(r) for r in result), default=0)
-    return np.array([r[:size] for r in result])
+    return np.array(result)
 
 
 def _ranked(c: Combination, found: list[Row], whole: Mapping[Combination, list[Row]], draws: NDArray[np.int64]) -> dict[str, Any]:

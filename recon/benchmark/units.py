@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
 from gen.sets.set_folder import RENDERED, SetFolder, is_set_folder
-from recon.benchmark.spec import Benchmark, Draws, Source
-
-T = TypeVar("T")
-
-TRIES = 1000
-"""Draws that are tried for one that is well spread."""
+from gen.sets.set_spec import evenly
+from recon.benchmark.spec import Benchmark, Source
+from recon.light_draws import draws
 
 
 @dataclass(frozen=True)
@@ -61,20 +54,13 @@ def places(sources: Iterable[Source], folder: Path, rendered: Path) -> list[tupl
             here = [_render_one(source.preset, rendered)]
         else:
             here = list(_under(_render_set(str(source.set), source.limit, rendered)))
-        for entry in evenly(here, source.limit):
-            found.setdefault(entry[2].resolve(), entry)
+        for i in evenly(len(here), source.limit):
+            found.setdefault(here[i][2].resolve(), here[i])
     names = [name for name, _, _ in found.values()]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"captures: two are named {twice}; the tables could not tell them apart")
     return list(found.values())
-
-
-def evenly(every: Sequence[T], limit: int | None) -> list[T]:
-    """At most `limit` of them, evenly spaced from the first to the last; all where it is None."""
-    if limit is None or len(every) <= limit:
-        return list(every)
-    return [every[i] for i in np.linspace(0, len(every) - 1, limit).round().astype(int)]
 
 
 def units(benchmark: Benchmark, where: Iterable[tuple[str, str, Path]]) -> list[Unit]:
@@ -89,27 +75,14 @@ def units(benchmark: Benchmark, where: Iterable[tuple[str, str, Path]]) -> list[
         if benchmark.draws is None:
             found.append(Unit(name, group, str(path), 0, tuple(usable)))
             continue
-        for number, chosen in enumerate(drawn(capture.lights[usable], benchmark.draws, benchmark.seed, str(path))):
+        asked = benchmark.draws
+        try:
+            every = draws(capture.lights[usable], asked.count, asked.lights, asked.max_condition, benchmark.seed)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        for number, chosen in enumerate(every):
             found.append(Unit(name, group, str(path), number, tuple(usable[i] for i in chosen)))
     return found
-
-
-def drawn(lights: NDArray[np.float64], draws: Draws, seed: int, where: str) -> list[list[int]]:
-    """Sorted indices of random subsets of lights (K, 3) whose condition number is small enough; the same for the same seed.
-
-    Raises InputError where there are too few lights, or hardly any subset is well spread.
-    """
-    if draws.lights > len(lights):
-        raise InputError(f"{where}: has {len(lights)} usable pictures, the benchmark draws {draws.lights}")
-    rng = np.random.default_rng(seed)
-    found: list[list[int]] = []
-    for _ in range(TRIES * draws.count):
-        chosen = sorted(int(i) for i in rng.choice(len(lights), draws.lights, replace=False))
-        if np.linalg.cond(lights[chosen]) < draws.max_condition:
-            found.append(chosen)
-            if len(found) == draws.count:
-                return found
-    raise InputError(f"{where}: hardly any {draws.lights} of its lights have a condition number under {draws.max_condition:g}")
 
 
 def _under(path: Path) -> Iterator[tuple[str, str, Path]]:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.capture import Capture, Floats, grey
+from recon.completion import complete
 from recon.gloss import remove, workable
 from recon.gloss.geometry import SHADOW, fit, half_vectors, smoothstep
-from recon.normals.completion import complete
 from recon.registry import Layers
 
 SPARSITY = 1.25

@@ -21,32 +21,14 @@ from gen.capture import Capture, grey, read_capture
 from gen.errors import InputError
 from gen.files import dumps
 from gen.parts import PARTS, data_folder
+from recon.light_draws import CORRUPT, draws
 from recon.metrics import angular_error
 from recon.registry import NORMALS, Normals, Solver
 
-DRAWS, LIGHTS, CONDITION, SEED, RUNS = 20, 5, 12.0, 0, 3
-"""Draws an object, lights a draw, the largest condition number of its lights, the seed of all, and runs of which the fastest counts."""
-
-CORRUPT = {"bear": 20}
-"""How many of an object's first photographs are corrupt in the original set, which says so."""
+DRAWS, LIGHTS, SEED, RUNS = 20, 5, 0, 3
+"""Draws an object, lights a draw, the seed of all, and runs of which the fastest counts."""
 
 BASELINE = "least-squares"
-
-
-def draws(lights: NDArray[np.float64], count: int = DRAWS, size: int = LIGHTS) -> list[list[int]]:
-    """`count` draws of `size` different lights whose condition number is under `CONDITION`, as sorted indices. lights: (K, 3).
-
-    Raises InputError where hardly any draw is well conditioned.
-    """
-    rng = np.random.default_rng(SEED)
-    found: list[list[int]] = []
-    for _ in range(100 * count):
-        chosen = sorted(int(i) for i in rng.choice(len(lights), min(size, len(lights)), replace=False))
-        if np.linalg.cond(lights[chosen]) < CONDITION:
-            found.append(chosen)
-            if len(found) == count:
-                return found
-    raise InputError(f"hardly any {size} of these {len(lights)} lights have a condition number under {CONDITION:g}")
 
 
 def plain_least_squares(
@@ -119,7 +101,7 @@ def figures(
             for label, stack in stacks.items()
         }
         few: dict[str, list[float]] = {}
-        for i, chosen in enumerate(draws(sound.lights, count)):
+        for i, chosen in enumerate(draws(sound.lights, count, LIGHTS, seed=SEED)):
             if progress is not None:
                 progress(f"{place.name}: draw {i + 1} of {count}")
             part = sound.select(chosen)

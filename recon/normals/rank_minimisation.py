@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.completion import complete
 from recon.conditioning import leave_out
-from recon.normals.completion import complete
 from recon.normals.least_squares import solve
 from recon.normals.rows import rows
 from recon.registry import Normals

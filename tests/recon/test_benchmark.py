@@ -14,10 +14,10 @@ from gen.errors import InputError
 from gen.formats.render_folder import write_render
 from recon.benchmark.cells import measure_unit
 from recon.benchmark.published import OBJECTS, ROWS, published
-from recon.benchmark.run import RESULTS, UNITS, open_folder, run_units
-from recon.benchmark.spec import Benchmark, Draws, preset_names, read_benchmark
+from recon.benchmark.run import RESULTS, UNITS, begin, check_folder, run_units
+from recon.benchmark.spec import Benchmark, preset_names, read_benchmark
 from recon.benchmark.summary import markdown, resamples, summarise
-from recon.benchmark.units import Unit, drawn, places, units
+from recon.benchmark.units import Unit, places, units
 from recon.compare import compare
 from recon.pipeline import measure
 from recon.registry import GLOSS
@@ -44,7 +44,8 @@ def benchmark(folder: Path, **more: object) -> Benchmark:
 
 
 def measured(folder: Path, spec: Benchmark, output: Path, workers: int = 1) -> list[dict[str, object]]:
-    open_folder(output, spec, resume=True)
+    check_folder(output, spec, resume=True)
+    begin(output, spec)
     return run_units(output, units(spec, places(spec.captures, Path(), output)), spec.combinations(), workers)
 
 
@@ -79,21 +80,6 @@ def test_bad_specs_are_refused(text: str, says: str, tmp_path: Path) -> None:
 def test_an_unknown_benchmark_names_the_known_ones() -> None:
     with pytest.raises(InputError, match="diligent-few"):
         read_benchmark("nonesuch")
-
-
-def test_draws_are_well_spread_and_the_seed_decides() -> None:
-    rng = np.random.default_rng(0)
-    lights = rng.normal(size=(30, 3)) * [0.4, 0.4, 0] + [0, 0, 1]
-    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    found = drawn(lights, Draws(count=10, lights=5, max_condition=12), 3, "x")
-    assert len(found) == 10
-    assert all(np.linalg.cond(lights[chosen]) < 12 and len(set(chosen)) == 5 for chosen in found)
-    assert found == drawn(lights, Draws(count=10, lights=5, max_condition=12), 3, "x")
-    assert found != drawn(lights, Draws(count=10, lights=5, max_condition=12), 4, "x")
-    with pytest.raises(InputError, match="draws 31"):
-        drawn(lights, Draws(count=1, lights=31), 0, "x")
-    with pytest.raises(InputError, match="condition number"):
-        drawn(lights[:1].repeat(5, 0), Draws(count=1, lights=4), 0, "x")
 
 
 def test_a_row_says_what_compare_says(folder: Path) -> None:
@@ -162,15 +148,16 @@ def test_a_run_is_gone_on_with_and_the_same_however_many_work(folder: Path, tmp_
 
 def test_a_folder_of_something_else_is_refused(folder: Path, tmp_path: Path) -> None:
     spec, other = benchmark(folder), benchmark(folder, seed=2)
-    open_folder(tmp_path / "a", spec, resume=False)
+    check_folder(tmp_path / "a", spec, resume=False)
+    begin(tmp_path / "a", spec)
     with pytest.raises(InputError, match="--resume"):
-        open_folder(tmp_path / "a", spec, resume=False)
+        check_folder(tmp_path / "a", spec, resume=False)
     with pytest.raises(InputError, match="other settings"):
-        open_folder(tmp_path / "a", other, resume=True)
+        check_folder(tmp_path / "a", other, resume=True)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "x").touch()
     with pytest.raises(InputError, match="not a benchmark's"):
-        open_folder(tmp_path / "b", spec, resume=True)
+        check_folder(tmp_path / "b", spec, resume=True)
 
 
 def test_a_damaged_unit_is_named(folder: Path, tmp_path: Path) -> None:
@@ -224,17 +211,11 @@ def test_published_rows_stand_under_their_objects() -> None:
 
 def test_the_command(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "b.yaml").write_text("benchmark: mine\ngloss: [none, chromaticity]\n")
-    words = [
-        sys.executable,
-        "-m",
-        "degloss",
-        "recon",
-        "bench",
-        str(tmp_path / "b.yaml"),
-        str(folder),
-        "-o",
-        str(tmp_path / "out"),
-    ]
+    command = [sys.executable, "-m", "degloss", "recon", "bench", str(tmp_path / "b.yaml")]
+    missing = subprocess.run([*command, str(tmp_path / "nothing"), "-o", str(tmp_path / "new")], capture_output=True, text=True)
+    assert missing.returncode == 2
+    assert not (tmp_path / "new").exists()
+    words = [*command, str(folder), "-o", str(tmp_path / "out")]
     run = subprocess.run([*words, "--json"], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["captures"] == 2

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
+from recon.completion import complete
 from recon.conditioning import condition_numbers
 from recon.metrics import angular_error
 from recon.normals.compiled import inverse, sort
-from recon.normals.completion import complete
 from recon.normals.l1 import l1
 from recon.normals.least_squares import least_squares
 from recon.normals.position_threshold import BRIGHTEST, DARKEST, KEPT_CONDITION, kept, position_threshold

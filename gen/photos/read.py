@@ -9,9 +9,9 @@ import numpy as np
 from gen.capture import Capture
 from gen.formats.truth import read_truth
 from gen.images import check_encoding
-from recon.photos.darkroom import Photographs, develop_folder
-from recon.photos.light_sources import Lights, lights_of, strengths_of
-from recon.photos.spec import NAME, PhotoSpec, read_photo_spec
+from gen.photos.darkroom import Photographs, develop_folder
+from gen.photos.light_sources import Lights, lights_of, strengths_of
+from gen.photos.spec import NAME, PhotoSpec, read_photo_spec
 
 
 def is_photos(path: Path) -> bool:
@@ -20,7 +20,7 @@ def is_photos(path: Path) -> bool:
 
 
 def read_photos(path: Path, encoding: str | None = None) -> Capture:
-    """Read a folder of photographs by its capture.yaml (`recon.photos.spec.PhotoSpec`).
+    """Read a folder of photographs by its capture.yaml (`gen.photos.spec.PhotoSpec`).
 
     Dark and ambient frames are subtracted, brackets merged, the flat field divided out, the lens undistorted; then the lights are taken
     as given or measured on balls, and their intensities taken as given, measured, or estimated. What was done is in the provenance.

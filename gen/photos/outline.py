@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
-from recon.photos.view import Doubles, Sphere, View
+from gen.photos.view import Doubles, Sphere, View
 
 NEAR_THE_CURVE = 1.5
 """Pixels from the fitted outline within which a contour point belongs to it: a mask drawn by hand wavers by about one."""

@@ -13,7 +13,7 @@ from gen.files import inside
 from gen.formats.plain import NOT_PICTURES
 from gen.formats.tables import natural
 from gen.images import SUFFIXES
-from recon.photos.spec import MOST, NAME, Bracket, Pattern, PhotoSpec, Shot
+from gen.photos.spec import MOST, NAME, Bracket, Pattern, PhotoSpec, Shot
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import pytest
 
 from gen.capture import Fault
 from gen.errors import InputError
+from gen.photos.brackets import FULL_WELL, READ_NOISE, exposure_slope, merge, noise_variance, shift_between
 from gen.srgb import linear_to_srgb, srgb_to_linear
-from recon.photos.brackets import FULL_WELL, READ_NOISE, exposure_slope, merge, noise_variance, shift_between
 
 TIMES = np.array([1.0, 4.0, 16.0])
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from gen.capture import Capture, Fault, grey
 from gen.capture_lights import NEAR
 from gen.errors import InputError
+from gen.photos.darkroom import develop_folder
+from gen.photos.light_sources import lights_of
+from gen.photos.read import assembled, is_photos
+from gen.photos.spec import read_photo_spec
 from gen.srgb import linear_to_srgb, srgb_to_linear
 from recon.conditioning import MAX_CONDITION
-from recon.photos.darkroom import develop_folder
-from recon.photos.light_sources import lights_of
-from recon.photos.read import assembled, is_photos
-from recon.photos.spec import read_photo_spec
 from recon.suitability import NOTEWORTHY_CLIPPED, TOO_MANY_CLIPPED, clipped_share
 
 DIM = 0.02

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
-from recon.photos.view import Doubles, Sphere, View, reflected
+from gen.photos.view import Doubles, Sphere, View, reflected
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]

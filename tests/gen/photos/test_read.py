@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import subprocess
-import sys
 import textwrap
 import zlib
 from collections.abc import Callable
@@ -17,41 +15,19 @@ import pytest
 
 from gen.capture import Capture, Fault
 from gen.errors import InputError
-from gen.images import write_png
-from gen.srgb import linear_to_srgb
+from gen.photos.read import is_photos, read_photos
 from recon.normals.least_squares import least_squares
-from recon.photos.check import Finding, check_photos
-from recon.photos.read import is_photos, read_photos
-from tests.recon.photo_scenes import OURS, Balls, degrees, ring
-from tests.recon.test_photos_develop import LENS, K, ideal_of
+from recon.photo_check import check_photos
+from tests.gen.photos.photo_scenes import LIGHTS, OURS, Balls, degrees, matte_folder, ring, save, say
+from tests.gen.photos.test_develop import LENS, K, ideal_of
 
 Synthetic = Callable[..., Capture]
-LIGHTS = ring(40, 5)
 STRENGTHS = np.array([1, 0.5, 0.8, 0.7, 0.9, 0.6])
-
-
-def save(path: Path, linear: np.ndarray, bits: int = 16, srgb: bool = False) -> None:
-    top = (1 << bits) - 1
-    coded = linear_to_srgb(np.clip(linear, 0, 1)) if srgb else np.clip(linear, 0, 1)
-    write_png(path, np.round(coded * top).astype(np.uint16 if bits == 16 else np.uint8))
-
-
-def say(folder: Path, **values: Any) -> None:
-    """capture.yaml, written as JSON, which YAML 1.2 contains."""
-    (folder / "capture.yaml").write_text(json.dumps({k: v for k, v in values.items() if v is not None}), encoding="utf-8")
 
 
 @pytest.fixture
 def folder(tmp_path: Path, synthetic: Synthetic) -> Path:
-    """A matte sphere, six pictures of known lights, mask and scale: nothing is wrong with it."""
-    path = tmp_path / "photos"
-    path.mkdir()
-    scene = synthetic(lights=LIGHTS, layer="matte")
-    for k, picture in enumerate(scene.images):
-        save(path / f"p{k + 1}.png", picture)
-    save(path / "mask.png", np.repeat(scene.mask[..., None], 3, -1).astype(float))
-    say(path, images="p*.png", lights={"directions": LIGHTS.tolist()}, intensities="equal", mm_per_pixel=0.1)
-    return path
+    return matte_folder(tmp_path / "photos", synthetic(lights=LIGHTS, layer="matte"))
 
 
 def test_a_simple_folder_becomes_the_capture_it_is(folder: Path, synthetic: Synthetic) -> None:
@@ -302,7 +278,7 @@ BAD: dict[str, tuple[dict[str, Any], Callable[[Path], object], str]] = {
     "a huge picture": ({}, huge, "megapixels"),
     "a truncated picture": ({}, cut, "p3.png: is damaged or truncated"),
     "a picture of another size": ({}, lambda p: save(p, np.ones((5, 6, 3))), "all pictures must have one size"),
-    "an 8-bit picture among others": ({}, lambda p: save(p, np.ones((64, 64, 3)), 8), "say colour: srgb or linear"),
+    "an 8-bit picture among others": ({}, lambda p: save(p, np.ones((64, 64, 3)), 8), "say which holds for all, srgb or linear"),
     "a dark frame of another size": ({"dark": "p3.png"}, lambda p: save(p, np.zeros((5, 6, 3))), "one size"),
     "a black flat field": ({"flat": "p3.png"}, lambda p: save(p, np.zeros((64, 64, 3))), "flat field is black"),
     "an incomplete bracket": ({"images": {"glob": "p*.png", "exposures_s": [1, 2, 3, 4]}}, nothing, "no whole brackets of 4"),
@@ -356,98 +332,6 @@ def test_yaml_that_is_none(folder: Path) -> None:
         read_photos(folder / "absent")
 
 
-DOUBTS: dict[str, tuple[dict[str, Any], Callable[[Path], object], str, str]] = {
-    # what is wrong: (beside the ordinary, what is done to p3.png, the level, what it is about)
-    "no lights": ({"lights": None}, nothing, "missing", "lights"),
-    "lights in one plane": ({"lights": {"directions": [[x, 0, 1] for x in range(6)]}}, nothing, "missing", "lights"),
-    "lights too much alike": ({"lights": {"directions": ring(1, 5).tolist()}}, nothing, "missing", "lights"),
-    "a light from behind": (
-        {"lights": {"directions": (LIGHTS * [[1], [1], [1], [1], [1], [-1]]).tolist()}},
-        nothing,
-        "doubtful",
-        "lights",
-    ),
-    "two pictures": (
-        {"images": ["p1.png", "p2.png"], "lights": {"directions": LIGHTS[:2].tolist()}},
-        nothing,
-        "missing",
-        "lights",
-    ),
-    "a clipped picture": ({}, lambda p: save(p, np.ones((64, 64, 3))), "doubtful", "clipped"),
-    "a lamp that was off": ({}, lambda p: save(p, np.full((64, 64, 3), 0.001)), "doubtful", "dark"),
-    "no scale": ({"mm_per_pixel": None}, nothing, "note", "scale"),
-    "a ball that is not there": (
-        {"lights": {"balls": [{"kind": "chrome", "circle_px": [900, 20, 8]}]}},
-        nothing,
-        "missing",
-        "ball",
-    ),
-    "three lights of unknown strength": (
-        {"images": ["p1.png", "p2.png", "p4.png"], "lights": {"directions": LIGHTS[[0, 1, 3]].tolist()}, "intensities": None},
-        nothing,
-        "doubtful",
-        "intensities",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", list(DOUBTS))
-def test_what_is_doubtful_is_said(folder: Path, case: str) -> None:
-    values, harm, level, about = DOUBTS[case]
-    say(folder, **{"images": "p*.png", "lights": DIRECTIONS, "intensities": "equal", "mm_per_pixel": 0.1, **values})
-    harm(folder / "p3.png")
-    findings = check_photos(folder)
-    assert (level, about) == (findings[0].level, findings[0].about), findings
-    assert len(findings[0].text) > 20
-    assert findings[0].text.endswith((".", "?"))
-
-
-@pytest.mark.parametrize("stored", ["srgb", "linear"])
-def test_numbers_that_are_read_the_wrong_way_are_suspected(folder: Path, synthetic: Synthetic, stored: str) -> None:
-    for k, picture in enumerate(synthetic(lights=LIGHTS, layer="matte").images):
-        save(folder / f"p{k + 1}.png", picture, 8, srgb=stored == "srgb")
-    for said in ("srgb", "linear"):
-        say(folder, images="p*.png", lights=DIRECTIONS, intensities="equal", mm_per_pixel=0.1, colour=said)
-        about = [f.about for f in check_photos(folder)]
-        assert about == (["8-bit"] if said == stored else ["encoding", "8-bit"])
-
-
-def test_no_mask_and_a_black_picture_are_said(folder: Path) -> None:
-    (folder / "mask.png").unlink()
-    for k in range(1, 7):
-        save(folder / f"p{k}.png", np.full((64, 64, 3), 0.004))
-    about = {f.about: f.level for f in check_photos(folder)}
-    assert about["mask"] == about["dark"] == "doubtful"
-
-
-COMMAND = (
-    "import sys; from cyclopts import App; from recon.photos.cli import capture; a = App(); a.command(capture); a(sys.argv[1:])"
-)
-HEAVY = "import sys, recon.photos.cli; print(*[m for m in ('pydantic', 'cv2', 'scipy', 'skimage') if m in sys.modules])"
-
-
-def test_the_command_says_it_in_words_or_json_and_is_cheap_to_import(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from recon.photos.cli import capture
-
-    capture(folder)
-    assert capsys.readouterr().out == "nothing is missing or doubtful\n"
-    say(folder, images="p*.png", lights=None, intensities="equal")
-    with pytest.raises(InputError, match="cannot be measured yet: 1 thing is missing"):
-        capture(folder)
-    out = capsys.readouterr().out
-    assert out.startswith("missing   capture.yaml: lights: is missing")
-    assert "heights are in pixels" in out
-    with pytest.raises(InputError):
-        capture(folder, json=True)
-    found = json.loads(capsys.readouterr().out)
-    assert found["measurable"] is False
-    assert [Finding(**one).level for one in found["findings"]] == ["missing", "note"]
-    run = subprocess.run([sys.executable, "-c", HEAVY], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == []
-    run = subprocess.run([sys.executable, "-c", COMMAND, "capture", "--help"], capture_output=True, text=True, check=True)
-    assert "plain words" in run.stdout
-
-
 def test_clipped_samples_of_a_bracket_are_masked(folder: Path) -> None:
     ramp = np.broadcast_to(np.linspace(0, 2, 64)[None, :, None], (64, 64, 3))
     for k in range(3):
@@ -467,11 +351,11 @@ def test_clipped_samples_of_a_bracket_are_masked(folder: Path) -> None:
 
 
 def test_the_example_of_the_package_is_a_spec_that_uses_every_key() -> None:
-    import recon.photos
+    import gen.photos
+    from gen.photos.spec import BallSpec, Bracket, PhotoSpec, photo_spec
     from gen.strict_yaml import parse_yaml
-    from recon.photos.spec import BallSpec, Bracket, PhotoSpec, photo_spec
 
-    text = textwrap.dedent("\n".join(line for line in str(recon.photos.__doc__).splitlines() if line.startswith("    ")))
+    text = textwrap.dedent("\n".join(line for line in str(gen.photos.__doc__).splitlines() if line.startswith("    ")))
     spec = photo_spec(parse_yaml(text, "the docstring", "an example"), "the docstring")
     assert spec.model_fields_set == set(PhotoSpec.model_fields) - {"mm_per_pixel"}
     assert isinstance(spec.images[0], Bracket)  # type: ignore[index]

@@ -10,7 +10,7 @@ import pytest
 from gen.capture import Fault
 from gen.errors import InputError
 from gen.images import Picture, write_png
-from recon.photos.develop import Colour, Development, Frames, flat_field, undistorted
+from gen.photos.develop import Colour, Development, Frames, flat_field, undistorted
 
 K = np.array([[220.0, 0, 101], [0, 230, 73], [0, 0, 1]])
 LENS = np.array([-0.25, 0.08, 0.002, -0.001, 0.0])

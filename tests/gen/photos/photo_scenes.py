@@ -1,8 +1,16 @@
-"""Synthetic photographs by plain numpy, in OpenCV's own frame (y down, z away): nothing of `recon.photos` is used to make them."""
+"""Synthetic photographs by plain numpy, in OpenCV's own frame (y down, z away): nothing of `gen.photos` is used to make them."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+
+from gen.capture import Capture
+from gen.images import write_png
+from gen.srgb import linear_to_srgb
 
 OURS = np.array([1.0, -1.0, -1.0])
 """Turns OpenCV's axes into ours (y up, z to the viewer) and back."""
@@ -79,3 +87,28 @@ def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Angles between rows."""
     a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
     return np.degrees(np.arccos(np.clip((a * b).sum(-1), -1, 1)))
+
+
+LIGHTS = ring(40, 5)
+"""One frontal light and five around it: those of `matte_folder`."""
+
+
+def save(path: Path, linear: np.ndarray, bits: int = 16, srgb: bool = False) -> None:
+    top = (1 << bits) - 1
+    coded = linear_to_srgb(np.clip(linear, 0, 1)) if srgb else np.clip(linear, 0, 1)
+    write_png(path, np.round(coded * top).astype(np.uint16 if bits == 16 else np.uint8))
+
+
+def say(folder: Path, **values: Any) -> None:
+    """capture.yaml, written as JSON, which YAML 1.2 contains."""
+    (folder / "capture.yaml").write_text(json.dumps({k: v for k, v in values.items() if v is not None}), encoding="utf-8")
+
+
+def matte_folder(path: Path, scene: Capture) -> Path:
+    """A matte sphere, six pictures of known lights, mask and scale: nothing is wrong with it."""
+    path.mkdir()
+    for k, picture in enumerate(scene.images):
+        save(path / f"p{k + 1}.png", picture)
+    save(path / "mask.png", np.repeat(scene.mask[..., None], 3, -1).astype(float))
+    say(path, images="p*.png", lights={"directions": LIGHTS.tolist()}, intensities="equal", mm_per_pixel=0.1)
+    return path

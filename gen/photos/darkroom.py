@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,12 +15,12 @@ from gen.capture import Bools, Floats, Scale, grey
 from gen.errors import InputError
 from gen.formats.tables import mask_or_frame
 from gen.images import Frames as Stack
-from gen.images import Picture, read_mask
-from recon.photos.brackets import exposure_slope, merge, shift_between
-from recon.photos.develop import Colour, Development, Frames, flat_field
-from recon.photos.listing import Taken, existing, named_files, photographs_of
-from recon.photos.spec import GammaColour, PhotoSpec, Shot
-from recon.photos.view import View
+from gen.images import Picture, memory, read_mask, require_alike
+from gen.photos.brackets import exposure_slope, merge, shift_between
+from gen.photos.develop import Colour, Development, Frames, flat_field
+from gen.photos.listing import Taken, existing, named_files, photographs_of
+from gen.photos.spec import GammaColour, PhotoSpec, Shot
+from gen.photos.view import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +107,7 @@ def develop_stack(
                 _require_memory(groups, height, width)
                 images = np.empty((len(groups), height, width, 3), np.float32)
                 faults = np.empty((len(groups), height, width), np.uint8)
-            _like_the_first(picture, first, taken.path, groups[0][0].path)
+            require_alike(picture, first, taken.path, groups[0][0].path)
             value, flag = development.without_dark(picture, taken.exposure, taken.path)
             values.append(value)
             flags.append(flag)
@@ -182,21 +181,6 @@ def _mean(folder: Path, shots: tuple[Shot, ...], key: str, colour: Colour, bare:
     return mean
 
 
-def _like_the_first(picture: Picture, first: Picture, path: Path, first_path: Path) -> None:
-    (h, w), (H, W) = picture.clipped.shape, first.clipped.shape
-    if (h, w) != (H, W):
-        raise InputError(f"{path}: is {w}x{h} pixels, but {first_path.name} is {W}x{H}; all pictures must have one size")
-    if picture.orientation != first.orientation:
-        raise InputError(
-            f"{path}: its EXIF orientation is {picture.orientation}, that of {first_path.name} is {first.orientation}; "
-            "turn all pictures the same way"
-        )
-    if picture.encoding != first.encoding:
-        raise InputError(
-            f"{path}: would be read as {picture.encoding} and {first_path.name} as {first.encoding}; say colour: srgb or linear for all"
-        )
-
-
 def _largest_shift(bracket: Floats, times: NDArray[np.float64]) -> float:
     """Pixels between neighbouring exposures, both brought to one brightness and cut where either is clipped."""
     order = np.argsort(times)
@@ -209,10 +193,9 @@ def _largest_shift(bracket: Floats, times: NDArray[np.float64]) -> float:
 
 
 def _require_memory(groups: list[list[Taken]], height: int, width: int) -> None:
-    pages = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     # the result, and one bracket with the copies that merging it takes
     need = height * width * (13 * len(groups) + 40 * max(len(group) for group in groups))
-    if need > pages:
+    if need > memory():
         raise InputError(
             f"{groups[0][0].path.parent}: {len(groups)} pictures of {width}x{height} need {need / 1e9:.0f} GB of memory; crop them"
         )

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
-from recon.photos.balls import BallLights, ball_pixels, lit_samples
-from recon.photos.view import Doubles, Sphere, View
+from gen.photos.balls import BallLights, ball_pixels, lit_samples
+from gen.photos.view import Doubles, Sphere, View
 
 FARTHEST = 100.0
 """A light is distant where it is more than so many times as far as the balls are apart: its direction then varies by under 0.6 degrees."""

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from gen.capture import grey
 from gen.errors import InputError
-from recon.conditioning import MAX_CONDITION
 
 Doubles = NDArray[np.float64]
 Vectors = Doubles | Callable[[NDArray[np.intp], NDArray[np.intp]], Doubles]
+
+SPREAD = 30.0
+"""Largest condition number of the lights of a pixel's samples that say anything of intensities."""
 
 PIXELS = 4000
 """Pixels that the estimate is made from: K unknowns of some thousands of equations a light."""
@@ -90,10 +92,10 @@ def _solved(m: Doubles, L: Doubles, used: NDArray[np.bool_], where: str) -> tupl
 
 
 def _determined(L: Doubles, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (P,) with four or more samples whose lights are spread well enough (`MAX_CONDITION`)."""
+    """Pixels (P,) with four or more samples whose lights are spread well enough (`SPREAD`)."""
     w = used.astype(np.float64)
     values = np.linalg.eigvalsh(np.einsum("pk,pki,pkj->pij", w, L, L, optimize=True))
-    return (used.sum(axis=1) >= 4) & (values[:, 0] * MAX_CONDITION**2 > values[:, 2])
+    return (used.sum(axis=1) >= 4) & (values[:, 0] * SPREAD**2 > values[:, 2])
 
 
 def _strengths(m: Doubles, L: Doubles, used: NDArray[np.bool_]) -> Doubles:

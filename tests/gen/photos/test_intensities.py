@@ -12,8 +12,8 @@ import pytest
 from gen.capture import Capture
 from gen.errors import InputError
 from gen.images import read_frames, read_mask
-from recon.photos.intensities import estimate_intensities
-from tests.recon.photo_scenes import ring
+from gen.photos.intensities import estimate_intensities
+from tests.gen.photos.photo_scenes import ring
 
 Synthetic = Callable[..., Capture]
 STRENGTHS = np.array([1, 0.4, 1.7, 0.8, 1.2, 0.6])[:, None] * [[1, 0.9, 0.7]] * (1 + 0.1 * np.arange(6)[:, None] * [[0, 1, -0.5]])

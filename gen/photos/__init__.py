@@ -1,6 +1,6 @@
 """From camera to Capture: `capture.yaml` beside the photographs says what is known, the rest is measured from them.
 
-All keys; only `images` and `lights` are needed. Every file lies in the folder or below it. `recon.photos.spec` checks it, strictly.
+All keys; only `images` and `lights` are needed. Every file lies in the folder or below it. `gen.photos.spec` checks it, strictly.
 
     images:                         # one entry a light: a file, {file, exposure_s}, or a bracket of exposures
       - bracket: [{file: a1.png, exposure_s: 0.01}, {file: a2.png, exposure_s: 0.1}]

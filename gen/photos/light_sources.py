@@ -14,14 +14,14 @@ from gen.errors import InputError
 from gen.files import read_lines
 from gen.formats.tables import check_count, check_lengths, read_directions, read_named_directions
 from gen.images import read_mask
-from recon.photos.balls import BallLights, matte_ball, mirror_ball
-from recon.photos.darkroom import Photographs, develop_stack
-from recon.photos.intensities import Vectors, estimate_intensities
-from recon.photos.listing import existing, named_files, photographs_of
-from recon.photos.near import light_places, refined_places, require_places
-from recon.photos.outline import Circle, circle_points, contour, find_circle, sphere_of
-from recon.photos.spec import NAME, BallSpec, PhotoSpec
-from recon.photos.view import Doubles, Sphere
+from gen.photos.balls import BallLights, matte_ball, mirror_ball
+from gen.photos.darkroom import Photographs, develop_stack
+from gen.photos.intensities import Vectors, estimate_intensities
+from gen.photos.listing import existing, named_files, photographs_of
+from gen.photos.near import light_places, refined_places, require_places
+from gen.photos.outline import Circle, circle_points, contour, find_circle, sphere_of
+from gen.photos.spec import NAME, BallSpec, PhotoSpec
+from gen.photos.view import Doubles, Sphere
 
 
 @dataclass(frozen=True, eq=False)

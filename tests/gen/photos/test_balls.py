@@ -11,11 +11,11 @@ import pytest
 from gen.capture import Scale, grey
 from gen.errors import InputError
 from gen.images import read_frames, read_image, read_mask
-from recon.photos.balls import BallLights, matte_ball, mirror_ball
-from recon.photos.near import light_places, refined_places, triangulate
-from recon.photos.outline import circle_points, contour, find_circle, fit_circle, sphere_of
-from recon.photos.view import Sphere, View
-from tests.recon.photo_scenes import FINE, OURS, Balls, degrees, ring
+from gen.photos.balls import BallLights, matte_ball, mirror_ball
+from gen.photos.near import light_places, refined_places, triangulate
+from gen.photos.outline import circle_points, contour, find_circle, fit_circle, sphere_of
+from gen.photos.view import Sphere, View
+from tests.gen.photos.photo_scenes import FINE, OURS, Balls, degrees, ring
 
 SIZE = (240, 320)
 K = np.array([[900.0, 0, 163], [0, 900, 115], [0, 0, 1]])
