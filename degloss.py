@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 from cyclopts import App, Parameter
@@ -65,11 +66,15 @@ def main() -> None:
     """The command's entry: bad input ends in one line and exit code 2, a signal in a sentence, with nothing half-written."""
     interrupted = False
 
-    def stop(number: int, frame: object) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
+        if _importing(frame):  # Python swallows or repeats an interrupt there: once more when the module is whole
+            signal.setitimer(signal.ITIMER_REAL, 0.02)
+            return
         raise KeyboardInterrupt
 
+    signal.signal(signal.SIGALRM, stop)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup's wish stands
             signal.signal(number, stop)
@@ -86,6 +91,15 @@ def main() -> None:
             print(f"degloss: {how or 'stopped; nothing was left half-written, run the same command again'}", file=sys.stderr)
             sys.exit(130)
         sys.exit(_verdict(error))
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported somewhere up the stack."""
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _verdict(error: BaseException) -> int:

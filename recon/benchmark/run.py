@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,10 @@ def _measured(
                     raise InputError(
                         f"{unit.name}: a process was killed while it measured (out of memory?); go on with --resume and fewer --workers"
                     ) from None
+    except BaseException:
+        for child in active_children():  # whatever they measure is lost anyway; waiting for it would take long
+            child.terminate()
+        raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 

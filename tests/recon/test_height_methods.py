@@ -254,14 +254,9 @@ def test_bench_refuses_a_bad_size(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize(("name", "worst", "plain"), [("bear", 0.334, 0.55), ("cat", 0.074, 0.41), ("pot2", 0.22, 0.158)])
-def test_published_depth_errors_are_reached(data_folder: Path, name: str, worst: float, plain: float) -> None:
-    """BiNI's published errors in mm are .334, .074 and .220, plain quadratic integration's .511, .407 and .158."""
+@pytest.mark.parametrize(("name", "plain"), [("bear", 0.55), ("cat", 0.41), ("pot2", 0.158)])
+def test_plain_slopes_reach_the_published_errors_of_plain_integration(data_folder: Path, name: str, plain: float) -> None:
+    """BiNI's authors report .511, .407 and .158 mm; all registered integrators are held to theirs in test_height.py."""
     normal, mask, camera, depth = read_object(data_folder / "bini_diligent" / name)
-    scale = Scale(camera=camera, distance_mm=1500)
-    errors = [
-        depth_error(1500 - 1000 * result.height.astype(float), depth, mask)
-        for result in (adaptive(normal, mask, scale), dct(normal, mask, scale, slopes=True))
-    ]
-    assert errors[0] <= worst
-    assert errors[1] <= plain
+    result = dct(normal, mask, Scale(camera=camera, distance_mm=1500), slopes=True)
+    assert depth_error(1500 - 1000 * result.height.astype(float), depth, mask) <= plain
