@@ -29,10 +29,10 @@ BARE, SUBSTRATE, COATED = 0, 1, 2
 class Material:
     """B materials over a picture. Maps are (B, c, H, W), or (B, c, 1, 1) where they do not vary; one number a capture is (B,).
 
-    albedo: 3 channels, the matte twin's too; of metal it is F0. metal: 0 or 1. coat: `BARE`, `SUBSTRATE` or `COATED`. sigma: Oren and
-    Nayar's roughness in radians, 0 for Lambertian. specular: Schlick's F0, 1 or 3 channels; of metal the albedo counts instead.
-    strength: of the lobes, 0 for none. alpha, alpha2: widths of the two lobes. mix: share of the second. sheen: 3 channels, tint and
-    weight of (1 - l.h)^5.
+    albedo: 3 channels, the matte twin's too; of metal it is F0. metal: 1 channel, the share that is metal, 0 or 1 in most pixels. coat:
+    `BARE`, `SUBSTRATE` or `COATED`. sigma: Oren and Nayar's roughness in radians, 0 for Lambertian. specular: Schlick's F0, 1 or 3
+    channels; of metal the albedo counts instead. strength: of the lobes, 0 for none. alpha, alpha2: widths of the two lobes. mix: share
+    of the second. sheen: 3 channels, tint and weight of (1 - l.h)^5.
     """
 
     albedo: Tensor
@@ -49,10 +49,12 @@ class Material:
 
 @dataclass(frozen=True)
 class Family:
-    """Shares of what `random_material` draws; the ranges are in its docstring. matte: captures without or nearly without gloss."""
+    """Shares of what `random_material` draws; the ranges are in its docstring. matte: captures without or nearly without gloss. metal:
+    those with metal, inlaid: of these, with metal in parts only."""
 
     matte: float = 0.3
-    metal: float = 0.08
+    metal: float = 0.18
+    inlaid: float = 0.35
     two_lobes: float = 0.4
     sheen: float = 0.12
     gloss_maps: float = 0.35
@@ -75,6 +77,7 @@ WIDE = Family()
 NARROW = Family(
     matte=0.15,
     metal=0.0,
+    inlaid=0.0,
     two_lobes=0.0,
     sheen=0.0,
     gloss_maps=0.0,
@@ -88,8 +91,9 @@ def random_material(draws: Draws, count: int, size: int, family: Family = WIDE) 
     """Materials of `count` captures of size x size pixels.
 
     alpha: .02 to .9 log-uniform, the second lobe's too; F0: .02 to .6, half of them log-uniform; Oren-Nayar's sigma: 0 to .8. Matte ones:
-    a third without a lobe, the others with F0 .01 to .04 and alpha .4 to .9; half of them Oren-Nayar of sigma .2 to .8. Metal: alpha .05
-    to .7, coloured F0 .4 to .98. Gloss maps vary alpha by up to 3 times either way within the range, and the lobe's strength.
+    a third without a lobe, the others with F0 .01 to .04 and alpha .4 to .9; half of them Oren-Nayar of sigma .2 to .8. Metal: alpha .03
+    to .8, coloured F0 .4 to .98; inlaid in a pattern, or all of it. Gloss maps vary alpha by up to 3 times either way within the range,
+    and the lobe's strength.
     """
     rng = draws.rng
     matte = rng.random(count) < family.matte
@@ -106,7 +110,7 @@ def random_material(draws: Draws, count: int, size: int, family: Family = WIDE) 
 
     low, high = np.log(0.02), np.log(0.9)
     alphas = np.exp(rng.uniform(low, high, (2, count)))
-    alphas = np.where(metal, np.exp(rng.uniform(np.log(0.05), np.log(0.7), (2, count))), alphas)
+    alphas = np.where(metal, np.exp(rng.uniform(np.log(0.03), np.log(0.8), (2, count))), alphas)
     alphas = np.where(matte, rng.uniform(0.4, 0.9, (2, count)), alphas)
     specular = np.where(
         rng.random(count) < 0.5, np.exp(rng.uniform(np.log(0.02), np.log(0.6), count)), rng.uniform(0.02, 0.6, count)
@@ -125,11 +129,13 @@ def random_material(draws: Draws, count: int, size: int, family: Family = WIDE) 
     strength = strength * draws.put((~lobeless).astype(np.float32))[:, None, None, None]
 
     albedo = random_albedo(draws, count, size, family.albedos, metal)
+    inlay = textures(draws, count, size, _without_constant(family.albedos))[:, None] if metal.any() else 1.0
+    inlay = torch.where(draws.chance(family.inlaid, count)[:, None, None, None], inlay, 1.0)
     has_sheen = (rng.random(count) < family.sheen) & ~metal & ~matte
     sheen = _colours(draws, count, np.where(has_sheen, rng.uniform(0.05, 0.5, count), 0.0))
     return Material(
         albedo=albedo,
-        metal=draws.put(metal.astype(np.float32)),
+        metal=draws.put(metal.astype(np.float32))[:, None, None, None] * inlay,
         coat=draws.put(coat.astype(np.float32)),
         sigma=draws.put(sigma),
         specular=draws.put(specular)[:, None, None, None],
@@ -177,7 +183,7 @@ def shade_material(material: Material, normal: Tensor, light: Tensor) -> tuple[T
     m = material
     mi, mo, mh, md, sh2 = _cosines(normal[:, None], light)
     albedo = m.albedo[:, None]
-    metal, coat, mix = _per_capture(m.metal), _per_capture(m.coat), _per_capture(m.mix)
+    metal, coat, mix = m.metal[:, None], _per_capture(m.coat), _per_capture(m.mix)
     matte = lambertian(mi, albedo) * (mo > 0)
 
     base = matte
@@ -202,7 +208,7 @@ def shade_material(material: Material, normal: Tensor, light: Tensor) -> tuple[T
     if bool((m.coat == SUBSTRATE).any()):
         gloss = torch.where(coat == SUBSTRATE, substrate_specular(mi, mo, mh, md, specular, alpha, sh2), gloss)
     if bool((m.metal > 0).any()):
-        gloss = torch.where(metal > 0, schlick(albedo, md) * lobe, gloss)
+        gloss = gloss + metal * (schlick(albedo, md) * lobe - gloss)
     gloss = (gloss * m.strength[:, None]).expand(matte.shape)
     return base, gloss, matte
 
@@ -231,7 +237,7 @@ def material_of(kind: str, values: Mapping[str, Any], size: int = 1) -> Material
     alpha = number("alpha", 0.5)
     return Material(
         albedo=colour("specular" if kind == "metal" else "diffuse"),
-        metal=torch.tensor([float(kind == "metal")]),
+        metal=torch.tensor(float(kind == "metal")).view(1, 1, 1, 1),
         coat=torch.tensor([float(SUBSTRATE if kind == "substrate" else BARE)]),
         sigma=number("sigma", 0.0),
         specular=colour("specular"),

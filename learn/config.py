@@ -58,7 +58,8 @@ class Train:
 
     batch: what one process takes a step. epochs or steps: the length of the schedule (exactly one). minutes: stop by the clock, all
     sessions of a run together. rate: the peak learning rate. warm_up: steps of linear rise. ema: decay of the averaged weights, 0 for
-    none. clip: the largest norm of the gradient, 0 for any. *_every: in steps; sample_every and validate_every take 0 for never.
+    none. start: weights that the training goes on from, a file or a method's name for the shipped ones; None begins with new ones. clip:
+    the largest norm of the gradient, 0 for any. *_every: in steps; sample_every and validate_every take 0 for never.
     threads: of torch on a CPU, 0 leaves them alone. prefetch: a thread of its own makes the next batch during a step.
     """
 
@@ -72,6 +73,7 @@ class Train:
     schedule: str = "constant"
     warm_up: int = 0
     ema: float = 0.0
+    start: str | None = None
     precision: str = "32-true"
     clip: float = 0.0
     log_every: int = 50
@@ -214,6 +216,10 @@ def _train(table: Mapping[str, Any], name: str) -> Train:
         if kinds[key] == "bool":
             if type(value) is not bool:
                 raise InputError(f"{at} must be true or false")
+            continue
+        if kinds[key].startswith("str"):
+            if not isinstance(value, str):
+                raise InputError(f"{at} must be text")
             continue
         whole = kinds[key].startswith("int")
         if type(value) is not int and (whole or type(value) is not float):

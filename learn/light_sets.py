@@ -15,7 +15,7 @@ Doubles = NDArray[np.float64]
 MAX_CONDITION = 15.0
 """Largest condition number (largest over smallest singular value) of a set of three lights and more."""
 
-COUNTS = {1: 0.04, 2: 0.04, 3: 0.1, 4: 0.12, 5: 0.36, 6: 0.1, 7: 0.06, 8: 0.08, 9: 0.03, 10: 0.07}
+COUNTS = {1: 0.06, 2: 0.04, 3: 0.1, 4: 0.12, 5: 0.36, 6: 0.1, 7: 0.06, 8: 0.06, 9: 0.03, 10: 0.03, 12: 0.02, 16: 0.02}
 """How many lights a batch has, and how often, where they are "mixed"."""
 
 STEEPEST, FLATTEST = 10.0, 65.0

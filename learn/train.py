@@ -40,7 +40,7 @@ from learn.method import create_method
 from learn.run_folder import BEST, CHECKPOINT, LOG, SUMMARY, WEIGHTS, check_place, must_agree, open_run
 from learn.schedule import rate_at, schedule_steps
 from learn.validation import evaluating, validate
-from learn.weights import save_weights
+from learn.weights import load_weights, must_match, save_weights
 
 AGREE_EVERY = 10
 """Steps between two looks of several processes at whether one of them was told to stop."""
@@ -101,6 +101,8 @@ def train(config: Config, run: Path, resume: bool = False, device: str = "auto",
         total = schedule_steps(options, source, ranks)
         torch.manual_seed(config.seed)
         network = method.build(config.model).to(place).train()
+        if options.start:
+            start_from(network, config)
         optimiser = make_optimiser(network, options)
         average = MovingAverage(network, options.ema) if options.ema else None
         parts = Parts(network, optimiser, average.network if average else None, place)
@@ -283,6 +285,14 @@ def make_optimiser(network: nn.Module, options: Train) -> torch.optim.Optimizer:
     ]
     kind = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[options.optimiser]
     return kind([group for group in groups if group["params"]], lr=options.rate)
+
+
+def start_from(network: nn.Module, config: Config) -> None:
+    """Give a new network the weights that the config's train.start names. Raises InputError where they are of another network."""
+    loaded = load_weights(config.train.start or config.method)
+    expected, given = network.state_dict(), loaded.model.state_dict()
+    must_match(given, expected, f"{loaded.path}: train.start: the network of {config.name} is another one")
+    network.load_state_dict(given)
 
 
 def resume_command(config: Config, run: Path, device: str) -> str:

@@ -157,7 +157,7 @@ def test_matte_never_depends_on_gloss() -> None:
             specular=torch.full((1, 1, 1, 1), 0.3),
             sigma=torch.tensor([0.5]),
             coat=torch.zeros(1),
-            metal=torch.zeros(1),
+            metal=torch.zeros(1, 1, 1, 1),
         )
         matte = shade_material(full, normal, light)[2]
         assert torch.equal(matte, shade_material(other, normal, light)[2])
@@ -182,7 +182,7 @@ def test_no_surface_sends_out_more_than_it_gets(view: float) -> None:
     # d h = sin(theta) dtheta dphi, d wi = 4 (l.h) d h
     measure = torch.from_numpy(4 * h[:, 2].clip(0) * (np.sin(theta) * np.pi * u).ravel() / 120 * 2 * np.pi / 48 / np.pi)
     drawn = random_material(Draws(2, 7, CPU), B, 16)
-    flat = {name: getattr(drawn, name)[:, :, :1, :1] for name in ("alpha", "alpha2", "strength")}
+    flat = {name: getattr(drawn, name)[:, :, :1, :1] for name in ("alpha", "alpha2", "strength", "metal")}
     white = {"albedo": torch.ones(B, 3, 1, 1), "sheen": torch.zeros(B, 3, 1, 1)}
     material = doubled(replace(drawn, **flat, **white))
     base, lobe = (torch.einsum("bkchw,k->bc", part, measure)[:, 0] for part in shade_material(material, normal, light)[:2])
@@ -199,11 +199,13 @@ def test_the_family_covers_what_it_promises() -> None:
     draws = Draws(4, 2, CPU)
     m = random_material(draws, 3000, 8)
     plain = (m.strength > 0).flatten(1).any(1)
-    metal = m.metal > 0
+    metal = m.metal.flatten(1).amax(1) > 0
     nearly_matte = ~plain | ((m.specular[:, 0, 0, 0] <= 0.04) & (m.alpha.flatten(1).amin(1) >= 0.4) & (m.coat != 1) & ~metal)
     assert nearly_matte.float().mean() == pytest.approx(0.3, abs=0.04)
     assert ((m.sigma > 0.2) & nearly_matte).sum() / nearly_matte.sum() == pytest.approx(0.5, abs=0.05)
-    assert metal.float().mean() == pytest.approx(0.08, abs=0.02)
+    assert metal.float().mean() == pytest.approx(0.18, abs=0.03)
+    inlaid = metal & (m.metal.flatten(1).amin(1) < 0.9)
+    assert inlaid.sum() / metal.sum() == pytest.approx(0.35, abs=0.1)
     assert m.alpha.min() >= 0.0199
     assert m.alpha.min() < 0.022
     assert m.alpha.max() <= 0.9001

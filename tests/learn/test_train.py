@@ -193,6 +193,24 @@ def test_a_run_that_was_killed_is_resumed_with_the_same_bits(pack: Path, straigh
 
 
 @pytest.mark.usefixtures("without_board")
+def test_a_training_may_begin_with_given_weights(pack: Path, straight: Path, tmp_path: Path) -> None:
+    given = load_file(straight / "weights.safetensors")
+    still = {"steps": 1, "rate": 1e-12, "warm_up": 0}
+    for name, start in (("new", {}), ("further", {"start": str(straight)})):
+        quiet(ten_steps(pack, **still, **start), tmp_path / name)
+        reached = load_file(tmp_path / name / "weights.safetensors")
+        alike = all(
+            torch.allclose(reached[key], tensor, atol=1e-6)
+            for key, tensor in given.items()
+            if "running" not in key and "tracked" not in key
+        )
+        assert alike == (name == "further")
+    with pytest.raises(InputError, match=r"group.safetensors: train.start: the network of .* is another one"):
+        quiet(ten_steps(pack, start="group"), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.usefixtures("without_board")
 def test_the_clock_stops_a_run_and_more_minutes_go_on(pack: Path, straight: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     stopped = quiet(ten_steps(pack, minutes=0.001), run)
