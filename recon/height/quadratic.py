@@ -75,4 +75,4 @@ def hierarchy(A: Any) -> Any:
     import pyamg
     from scipy import sparse
 
-    return pyamg.ruge_stuben_solver(sparse.csr_matrix(A), max_coarse=100)
+    return pyamg.ruge_stuben_solver(sparse.csr_matrix(A), max_coarse=500, coarse_solver="splu")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gen.capture import Capture, grey, read_capture
+from gen.capture import Capture, Truth, grey, read_capture
 from gen.errors import InputError
 from gen.files import dumps
 from gen.parts import PARTS, data_folder
@@ -27,6 +27,9 @@ from recon.registry import NORMALS, Normals, Solver
 
 DRAWS, LIGHTS, SEED, RUNS = 20, 5, 0, 3
 """Draws an object, lights a draw, the seed of all, and runs of which the fastest counts."""
+
+LARGE_FRAME = (96, 512, 612)
+"""Lights, rows and columns of the frame that least squares is timed on: all of a DiLiGenT photograph's pixels."""
 
 BASELINE = "least-squares"
 
@@ -111,6 +114,27 @@ def figures(
     return tables
 
 
+def large_frame() -> dict[str, dict[str, float]]:
+    """Least squares of a whole frame of random matte pixels (`LARGE_FRAME`) beside the same in plain numpy: rows as in `figures`."""
+    size = LARGE_FRAME
+    rng = np.random.default_rng(SEED)
+    lights = rng.normal(size=(size[0], 3)) * [1, 1, 0.3] + [0, 0, 1.5]
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    normal = rng.normal(size=(*size[1:], 3)) * 0.4 + [0, 0, 1]
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    albedo = rng.uniform(0.2, 1, (*size[1:], 3)).astype(np.float32)
+    shading = np.maximum(np.einsum("kc,hwc->khw", lights, normal), 0).astype(np.float32)
+    capture = Capture(
+        images=shading[..., None] * albedo,
+        lights=lights,
+        intensities=np.ones((size[0], 3)),
+        mask=np.ones(size[1:], dtype=bool),
+        truth=Truth(normals=normal.astype(np.float32)),
+    )
+    solvers = {BASELINE: NORMALS.load(BASELINE), "least squares, plain numpy": plain_least_squares}
+    return {name: _row(solver, capture, "large frame", name, None) for name, solver in solvers.items()}
+
+
 def _row(solver: Solver, capture: Capture, place: str, name: str, progress: Callable[[str], None] | None) -> dict[str, float]:
     if progress is not None:
         progress(f"{place}: {name}, {capture.count} lights")
@@ -151,23 +175,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("recon.normals.bench: --draws must be at least 1", file=sys.stderr)
         raise SystemExit(2)
     tables = figures(folder, registered(), given.draws, lambda step: print(step, file=sys.stderr))
+    frame = large_frame()
     if given.json:
-        print(dumps(tables, indent=2))
+        print(dumps({**tables, "large frame": frame}, indent=2))
         return
     for name, table in tables.items():
         print_tables(name, table)
+    print_rows("a whole frame of {} lights, {} x {} pixels".format(*LARGE_FRAME), frame)
 
 
 def print_tables(name: str, table: Mapping[str, Any]) -> None:
     """One object's figures as Markdown tables."""
     for label in (label for label in table if label != "draws"):
-        print(f"\n{name}, {label}\n\n| solver | degrees | seconds | of processor |\n|---|---|---|---|")
-        for solver, row in table[label].items():
-            print(f"| {solver} | {row['error']:.2f} | {row['seconds']:.2f} | {row['processor']:.2f} |")
+        print_rows(f"{name}, {label}", table[label])
     print(f"\n{name}, draws of {LIGHTS} lights\n\n| solver | degrees | less than {BASELINE} by | 95 % |\n|---|---|---|---|")
     for solver, row in table["draws"].items():
         interval = f"{-row['high']:+.2f} to {-row['low']:+.2f}"
         print(f"| {solver} | {row['error']:.2f} +- {row['deviation']:.2f} | {-row['difference']:+.2f} | {interval} |")
+
+
+def print_rows(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
+    """Rows of solvers as a Markdown table."""
+    print(f"\n{title}\n\n| solver | degrees | seconds | of processor |\n|---|---|---|---|")
+    for solver, row in rows.items():
+        print(f"| {solver} | {row['error']:.2f} | {row['seconds']:.3f} | {row['processor']:.3f} |")
 
 
 if __name__ == "__main__":

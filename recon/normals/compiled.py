@@ -32,24 +32,24 @@ def compiled(function: F) -> F:
     return result
 
 
-def in_parts(loop: Callable[..., None], per_pixel: tuple[NDArray[Any], ...], *rest: object) -> None:
+def in_parts(loop: Callable[..., None], per_pixel: tuple[NDArray[Any], ...], *rest: object, part: int = PART) -> None:
     """Run loop(*per_pixel arrays, *rest) over parts of the pixels, on as many threads as numba is allowed (NUMBA_NUM_THREADS).
 
-    per_pixel: arrays whose first axis is the pixel, inputs and outputs alike; each part gets views of its own pixels.
+    per_pixel: arrays whose first axis is the pixel, inputs and outputs alike; each part gets views of its own pixels. part: pixels in one.
     """
     count = len(per_pixel[0])
-    parts = [slice(start, start + PART) for start in range(0, count, PART)]
+    parts = [slice(start, start + part) for start in range(0, count, part)]
     if not parts:
         return
 
-    def work(part: slice) -> None:
-        loop(*(array[part] for array in per_pixel), *rest)
+    def work(of: slice) -> None:
+        loop(*(array[of] for array in per_pixel), *rest)
 
     work(parts[0])  # compiles, once and not in every thread
     threads = min(int(numba.config.NUMBA_NUM_THREADS), len(parts) - 1)  # type: ignore[attr-defined]
     if threads <= 1:
-        for part in parts[1:]:
-            work(part)
+        for of in parts[1:]:
+            work(of)
         return
     from concurrent.futures import ThreadPoolExecutor
 

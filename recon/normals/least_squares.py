@@ -14,6 +14,9 @@ Doubles = NDArray[np.float64]
 CHUNK = 1 << 18
 """Pixels that are solved at a time: what a solve needs beside its input stays under 100 MB."""
 
+LARGE = 4_000_000
+"""Samples above which the compiled pass is worth loading the compiler for."""
+
 
 def least_squares(
     reflectance: NDArray[np.float32], lights: Doubles, mask: NDArray[np.bool_], weights: NDArray[np.float32]
@@ -30,6 +33,10 @@ def least_squares(
     Source: R. J. Woodham, "Photometric method for determining surface orientation from multiple images", Optical Engineering
     19(1), 1980; the covariance is that of any linear regression.
     """
+    if len(lights) * np.count_nonzero(mask) > LARGE:
+        from recon.normals.large_stacks import large_least_squares
+
+        return large_least_squares(reflectance, lights, mask, weights)
     samples = reflectance[:, mask]
     y = grey(samples)
     w = weights[:, mask]

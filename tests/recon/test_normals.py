@@ -12,6 +12,8 @@ from gen.capture import Capture
 from gen.errors import InputError
 from recon.conditioning import MAX_CONDITION, condition_numbers, distinct, leave_out, lowered, require_spanning_lights
 from recon.metrics import angular_error
+from recon.normals.large_stacks import large_least_squares
+from recon.normals.least_squares import least_squares
 from recon.registry import NORMALS
 
 Synthetic = Callable[..., Capture]
@@ -201,3 +203,24 @@ def test_one_limit_decides_whether_lights_can_serve(synthetic: Synthetic) -> Non
         require_spanning_lights(plane[:2], "bolt")
     with pytest.raises(InputError, match="exactly three"):
         solve("three-light", synthetic("sphere", 16))
+
+
+@pytest.mark.parametrize("weights", ["equal", "all sorts"])
+def test_large_stacks_are_solved_as_small_ones(weights: str) -> None:
+    """The compiled pass against the numpy one, on a mask with gaps, more pixels a row than a block, and pixels that no lights determine."""
+    rng = np.random.default_rng(4)
+    K, shape = 9, (7, 600)
+    lights = rng.normal(size=(K, 3)) * [1, 1, 0.3] + [0, 0, 1.5]
+    lights /= np.linalg.norm(lights, axis=1, keepdims=True)
+    reflectance = rng.uniform(0, 1, (K, *shape, 3)).astype(np.float32)
+    mask = rng.random(shape) < 0.7
+    mask[3] = False
+    w = np.ones((K, *shape), np.float32)
+    if weights == "all sorts":
+        w = rng.uniform(0, 1, w.shape).astype(np.float32) * (rng.random(w.shape) < 0.6)
+        reflectance[:, 5, :40] = 0
+    small, large = (solver(reflectance, lights, mask, w) for solver in (least_squares, large_least_squares))
+    assert np.array_equal(small.measurable, large.measurable)
+    assert (small.measurable[mask].mean() == 1) == (weights == "equal")
+    for name in ("normal", "albedo", "uncertainty"):
+        assert np.allclose(getattr(small, name), getattr(large, name), atol=2e-5, equal_nan=True), name

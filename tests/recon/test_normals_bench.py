@@ -41,8 +41,11 @@ def test_tables_of_an_object(
     monkeypatch.setenv("DEGLOSS_DATA", str(tmp_path))
     monkeypatch.setattr(bench, "read_capture", lambda place: capture)
     monkeypatch.setattr(bench, "registered", lambda: {"least-squares": least_squares, "l1": l1})
+    monkeypatch.setattr(bench, "LARGE_FRAME", (24, 30, 40))
     bench.main(["--draws", "3", "--json"])
-    table = json.loads(capsys.readouterr().out)["bear"]
+    tables = json.loads(capsys.readouterr().out)
+    assert all(row["error"] < 2 and row["seconds"] > 0 for row in tables["large frame"].values())
+    table = tables["bear"]
     assert set(table) == {"all lights", "without the corrupt", "draws"}
     assert table["draws"]["least-squares"]["difference"] == 0
     for label in ("all lights", "without the corrupt"):
