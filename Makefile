@@ -7,6 +7,7 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
+WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test check bench soak clean
@@ -15,11 +16,13 @@ demo: $(STAMP)
 	$(BIN)/degloss demo -o out/demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -m "not soak"
+	$(BIN)/python -m pytest -q -m "not soak" -n $(WORKERS) --dist loadfile
 
 bench: $(STAMP)
 	$(BIN)/python -m recon.bench
 	$(BIN)/python -m recon.normals.bench
+	$(BIN)/python -m recon.repair_bench
+	$(BIN)/python -m recon.multiview.bench
 	$(BIN)/python -m recon.height.bench
 	$(BIN)/python -m gen.bench
 	$(BIN)/python -m gen.deviation
@@ -35,7 +38,7 @@ check: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,learn,train,export,cluster,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,learn,train,export,cluster,views,dev]'
 	touch $@
 
 clean:

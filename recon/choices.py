@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gen.errors import InputError
+from recon.defects import require_threshold
 from recon.reconstruct import Settings
 
 
@@ -25,13 +26,12 @@ def settings_from(
 
 
 def threshold_value(text: str) -> float | str:
-    """ "auto", or the number that the text says. Raises InputError for anything else."""
-    if text == "auto":
-        return text
+    """ "auto", "otsu", or the number that the text says. Raises InputError for anything else."""
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"--threshold {text}: must be a positive number or auto") from None
+        require_threshold(text)
+        return text
 
 
 def dilate_value(text: str) -> int:

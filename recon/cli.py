@@ -8,9 +8,13 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 from recon.benchmark.cli import bench
+from recon.inspection.cli import inspect
+from recon.multiview.cli import multiview
 
 app = App(name="recon", help="Measure: remove the gloss, repair, photometric stereo, height, mesh.", help_format="plaintext")
 app.command(bench)
+app.command(inspect)
+app.command(multiview)
 
 
 @app.command
@@ -52,7 +56,8 @@ def run(
     height
         The integrator.
     threshold
-        Specular reflectance above which a sample is a defect (1: as bright as white paper facing the light), or auto.
+        Specular reflectance above which a sample is a defect (1: as bright as white paper facing the light); otsu, chosen in each
+        picture; or auto, chosen so too, but only where the capture has gloss to tell apart and its pictures contradict each other.
     dilate
         Pixels by which defects grow.
     lights
@@ -135,6 +140,42 @@ def capture(
     if missing:
         what = "1 thing is" if len(missing) == 1 else f"{len(missing)} things are"
         raise InputError(f"{folder}: cannot be measured yet: {what} missing or wrong (see above); put it right and check again")
+
+
+@app.command
+def lights(
+    folder: Path,
+    /,
+    *,
+    strengths: Literal["equal", "unknown"] = "equal",
+    write: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
+    encoding: Literal["srgb", "linear"] | None = None,
+) -> None:
+    """Find the lights of pictures that nobody measured, as far as pictures can tell, and say what they cannot.
+
+    Prints the rows of a lights.txt, with what was assumed and what remains ambiguous as comments. The surface should be mostly matte, and
+    at least five pictures are needed; measured lights, such as from a chrome ball, are better.
+
+    Parameters
+    ----------
+    folder
+        A folder of pictures, mask.png among them; with capture.yaml or without. Lights that it states are not looked at.
+    strengths
+        Whether the lights are equally strong, such as one lamp that was moved (or as the folder's light_intensities.txt says), or unknown.
+    write
+        Write lights.txt beside the pictures, and light_intensities.txt where strengths are unknown.
+    encoding
+        How the files' numbers are meant. Default: 8-bit is sRGB, 16-bit and EXR are linear.
+    """
+    from recon.unknown_lights import find_lights, next_step, read_pictures, remarks, table, write_lights
+
+    pictures = read_pictures(folder, encoding)
+    found = find_lights(pictures, strengths, str(folder))
+    notes = remarks(found, strengths)
+    print(table(found, pictures.names, notes), end="")
+    if write:
+        written = write_lights(folder, found, pictures.names, notes, strengths)
+        print(f"# written: {', '.join(map(str, written))}; next: {next_step(folder, written)}")
 
 
 @app.command

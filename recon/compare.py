@@ -196,6 +196,8 @@ def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[st
         "notes": doubts(capture),
         "provenance": dict(capture.provenance),
     }
+    if shape.near is not None:
+        metrics["near lights"] = vars(shape.near)
     truth = truth_figures(shape)
     if truth:
         metrics["truth"] = truth

@@ -35,10 +35,16 @@ USUAL = 2.5
 
 BINS = 256
 
+CHOICES = ("auto", "otsu")
+"""The thresholds that are no number."""
+
 
 @dataclass(frozen=True, eq=False)
 class Defects:
-    """mask: (K, H, W) bool. threshold: (K,) in reflectance luma, infinite where no sample counts as glossy. method: "auto" or "manual"."""
+    """mask: (K, H, W) bool. threshold: (K,) in reflectance luma, infinite where no sample counts as glossy.
+
+    method: "auto", "otsu" or "manual".
+    """
 
     mask: Bools
     threshold: NDArray[np.float64]
@@ -56,10 +62,11 @@ def find_defects(
     """Samples whose estimated specular luma exceeds a threshold, and clipped ones, each picture's set dilated inside the mask.
 
     specular: (K, H, W, 3) radiance, as a gloss remover gives it; its unit here is specular radiance / light intensity, where 1 is a
-    white Lambertian surface facing the light. threshold: that value, the same for all pictures, or "auto" (`otsu_threshold`, each picture
-    alone). dilate: radius in pixels of the disk that the defects grow by, 0 for none; missing samples are never defects, they are missing.
-    With "auto" the threshold rises until the dilated defects cover at most `MAJORITY` of the object; clipped samples count nevertheless.
-    pictures: (K, H, W, 3) radiance, what the remover left: with "auto", samples of pixels where it is `corroborated` are no defects.
+    white Lambertian surface facing the light. threshold: that value, the same for all pictures; "otsu", Otsu's of each picture as it comes,
+    which cuts whatever it is given in two; or "auto", which asks the capture whether there is anything to cut: `guarded_otsu`, each picture
+    alone, raised until the dilated defects cover at most `MAJORITY` of the object (clipped samples count nevertheless).
+    dilate: radius in pixels of the disk that the defects grow by, 0 for none; missing samples are never defects, they are missing.
+    pictures: (K, H, W, 3) radiance, what the remover left: with "auto", only samples of `contradicted` pixels are defects.
     clipped_too: whether clipped samples are defects whatever lies on them.
     Raises InputError where shapes disagree, the threshold is not a positive number, or `dilate` is negative.
     Source: thresholding the estimated specular picture is the paper's; automatic choice after N. Otsu, "A threshold selection method
@@ -69,58 +76,86 @@ def find_defects(
         raise InputError(f"{capture.source}: the specular pictures are {specular.shape}, the capture's {capture.images.shape}")
     if dilate < 0:
         raise InputError(f"dilate must be 0 or more pixels, got {dilate}")
-    if threshold != "auto" and not (isinstance(threshold, int | float) and np.isfinite(threshold) and threshold > 0):
-        raise InputError(f"--threshold {threshold}: must be a positive number (1 is a white surface facing the light) or auto")
+    require_threshold(threshold)
     luma = grey(capture.reflectance(specular))
     there = capture.mask & ((capture.faults & Fault.MISSING) == 0)
     clipped = ((capture.faults & Fault.CLIPPED) != 0) & there
     doubtful = there
     if threshold == "auto" and pictures is not None:
-        doubtful = there & ~corroborated(pictures, capture)
-    mask = np.zeros(luma.shape, dtype=bool)
+        doubtful = there & contradicted(pictures, capture)
     used = np.full(capture.count, np.inf)
+    glossy = np.zeros(luma.shape, dtype=bool)
     for k in range(capture.count):
-        x = float(threshold) if threshold != "auto" else otsu_threshold(luma[k][there[k] & ~clipped[k]])
-        found = _dilated((luma[k] > x) & doubtful[k], dilate) & there[k]
+        values = luma[k][there[k] & ~clipped[k]]
         if threshold == "auto":
-            while np.isfinite(x) and found.sum() > MAJORITY * there[k].sum():
-                x *= 1.25
-                found = _dilated((luma[k] > x) & doubtful[k], dilate) & there[k]
-        used[k] = x
-        mask[k] = found | (_dilated(clipped[k], dilate) & there[k]) if clipped_too else found
-    return Defects(mask=mask, threshold=used, method="auto" if threshold == "auto" else "manual")
+            used[k] = guarded_otsu(values)
+            while (
+                np.isfinite(used[k])
+                and _grown(luma[k] > used[k], doubtful[k], there[k], dilate).sum() > MAJORITY * there[k].sum()
+            ):
+                used[k] *= 1.25
+        else:
+            used[k] = plain_otsu(values) if threshold == "otsu" else float(threshold)
+        glossy[k] = (luma[k] > used[k]) & doubtful[k]
+    if clipped_too:
+        glossy |= clipped
+    mask = np.stack([_grown(found, there[k], there[k], dilate) for k, found in enumerate(glossy)])
+    return Defects(mask=mask, threshold=used, method=threshold if isinstance(threshold, str) else "manual")
 
 
-def corroborated(pictures: Floats, capture: Capture) -> Bools:
-    """Pixels where the pictures without gloss agree with one matte surface, so that what lay under the gloss was found and needs no repair.
+def require_threshold(threshold: float | str) -> None:
+    """InputError unless it is a positive number or one of `CHOICES`."""
+    number = not isinstance(threshold, str) and np.isfinite(threshold) and threshold > 0
+    if not number and threshold not in CHOICES:
+        raise InputError(
+            f"--threshold {threshold}: must be a positive number (1 is a white surface facing the light), {' or '.join(CHOICES)}"
+        )
+
+
+def contradicted(pictures: Floats, capture: Capture) -> Bools:
+    """Pixels where the pictures without gloss contradict one matte surface, so that what lay under the gloss was not found.
 
     Where at least four lit samples are there and their lights are well-conditioned, the root mean square residual of the Lambertian fit to
     them, over the albedo, is compared with `AGREEMENT`, or with `USUAL` times its lower quartile over the object, whichever is larger:
-    so noise, or a surface that is not quite Lambertian, does not pass for gloss left behind.
-    pictures: (K, H, W, 3) radiance. Returns (H, W) bool.
+    so noise, or a surface that is not quite Lambertian, does not pass for gloss left behind. A pixel with fewer samples contradicts
+    nothing: in shadow, a repair loses more than it mends. Only where no pixel of the object can be judged, as under three lights, are all
+    of them open to doubt.
+    pictures: (K, H, W, 3) radiance. Returns (H, W) bool, false outside the mask.
     Source: the residual test is that of any overdetermined fit, used so by Coleman and Jain, "Obtaining 3-dimensional shape of textured
     and specular surfaces using four-source photometry" (1982).
     """
-    from recon.conditioning import lit
+    from recon.conditioning import LIT
     from recon.normals.least_squares import solve
 
     y = grey(capture.reflectance(pictures))[:, capture.mask]
     usable = ((capture.faults & int(Fault.MISSING | Fault.CLIPPED)) == 0)[:, capture.mask]
-    weights = (usable & lit(y)).astype(np.float32)
+    # Beside a highlight that was left behind everything looks dark: no sample counts as brighter than most pixels' brightest.
+    brightest = (y * usable).max(axis=0)
+    lit = y > LIT * np.minimum(brightest, np.median(brightest))
+    weights = (usable & lit).astype(np.float32)
     b, _, measurable = solve(y, capture.lights, weights)
     spare = weights.sum(axis=0) - 3
     length = np.linalg.norm(b, axis=1)
-    square = (weights * (y - (capture.lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
     judged = measurable & (spare > 0) & (length > 0)
-    residual = np.full(len(b), np.inf)
+    if not judged.any():
+        return capture.mask
+    square = (weights * (y - (capture.lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
+    residual = np.zeros(len(b))
     residual[judged] = np.sqrt(square[judged] / spare[judged]) / length[judged]
-    usual = USUAL * float(np.percentile(residual[judged], 25)) if judged.any() else 0.0
-    agrees = np.zeros(capture.mask.shape, dtype=bool)
-    agrees[capture.mask] = residual <= max(AGREEMENT, usual)
-    return agrees
+    usual = USUAL * float(np.percentile(residual[judged], 25))
+    doubt = np.zeros(capture.mask.shape, dtype=bool)
+    doubt[capture.mask] = residual > max(AGREEMENT, usual)
+    return doubt
 
 
-def otsu_threshold(values: NDArray[np.floating[Any]]) -> float:
+def plain_otsu(values: NDArray[np.floating[Any]]) -> float:
+    """Otsu's threshold of the values (N,) as they are (skimage.filters.threshold_otsu), or infinity where all are alike."""
+    from skimage.filters import threshold_otsu
+
+    return float(threshold_otsu(values)) if values.size and np.ptp(values) > 0 else float("inf")
+
+
+def guarded_otsu(values: NDArray[np.floating[Any]]) -> float:
     """Otsu's threshold on the square root of the values, or infinity where there is nothing to separate.
 
     values: (N,) specular luma in reflectance, not negative, of the whole object: the zeros of its matte parts belong to the histogram.
@@ -150,6 +185,10 @@ def otsu_threshold(values: NDArray[np.floating[Any]]) -> float:
     if variance > 0 and (between.max() > SEPARATION * variance or cut > bulk):
         return max(cut**2, FLOOR)
     return float("inf")
+
+
+def _grown(found: Bools, among: Bools, there: Bools, dilate: int) -> Bools:
+    return _dilated(found & among, dilate) & there
 
 
 def _dilated(mask: Bools, radius: int) -> Bools:

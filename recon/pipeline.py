@@ -1,7 +1,7 @@
 """The measurement from end to end: remove the gloss, find and repair the defects, solve for normals, integrate, all by name.
 
 capture = read_capture("photos/bolt")
-shape = measure(capture, gloss="group", repair="none", normals="least-squares", height="quadratic")
+shape = measure(capture, gloss="group", repair="none", normals="least-squares", height="adaptive")
 print(shape.report())
 shape.write("out/bolt")
 """

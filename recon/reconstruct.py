@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from gen.capture import Capture, Fault, grey
 from gen.errors import InputError
+from recon.calibration import change, table_for
 from recon.conditioning import leave_out, lit, lowered
+from recon.defects import Defects, find_defects, require_threshold
+from recon.near_light import NearFit, places_known, solve_near
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired
 from recon.suitability import require_suitable
 
 if TYPE_CHECKING:
     import trimesh
-
-    from recon.defects import Defects
 
 Progress = Callable[[str], None]
 """Called with the name of each step as it begins."""
@@ -31,7 +32,8 @@ class Settings:
     """The choices of a measurement, by name.
 
     gloss, repair, normals, height: names of `recon.registry`; for gloss and repair "none" leaves the step out.
-    threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto".
+    threshold: specular reflectance (radiance over light intensity, luma) above which a sample is a defect, or "auto" or "otsu"
+    (see `recon.defects.find_defects`).
     dilate: pixels by which defects grow.
     saturated: "drop" leaves clipped samples out where the other lights still determine the normal, and counts the rest of them as
     defects; "keep" uses them like all others. shadows: the same for samples under `recon.conditioning.LIT` of their pixel's
@@ -42,7 +44,7 @@ class Settings:
     gloss: str = "chromaticity"
     repair: str = "telea"
     normals: str = "least-squares"
-    height: str = "quadratic"
+    height: str = "adaptive"
     threshold: float | str = "auto"
     dilate: int = 1
     saturated: str = "drop"
@@ -51,11 +53,7 @@ class Settings:
     def __post_init__(self) -> None:
         for registry, name in ((GLOSS, self.gloss), (REPAIR, self.repair), (NORMALS, self.normals), (HEIGHT, self.height)):
             registry[name]
-        if isinstance(self.threshold, str):
-            if self.threshold != "auto":
-                raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
-        elif not (np.isfinite(self.threshold) and self.threshold > 0):
-            raise InputError(f"--threshold {self.threshold}: must be a positive number or auto")
+        require_threshold(self.threshold)
         if not 0 <= self.dilate <= 1000:
             raise InputError(f"--dilate {self.dilate}: must be from 0 to 1000 pixels")
         for option, value in (("--saturated", self.saturated), ("--shadows", self.shadows)):
@@ -69,7 +67,7 @@ class Shape:
 
     consumed: which pictures photometric stereo worked on: "pictures" (no gloss removed), "matte" or "diffuse".
     images: (K, H, W, 3), those pictures after repair. weights: (K, H, W), what each sample counted.
-    seconds: the time each step took.
+    seconds: the time each step took. near: how near lights were taken into account, None where all were taken as distant.
     """
 
     capture: Capture
@@ -82,6 +80,7 @@ class Shape:
     normals: Normals
     height: Height
     seconds: Mapping[str, float] = field(default_factory=dict)
+    near: NearFit | None = None
 
     def mesh(self) -> trimesh.Trimesh:
         """The surface as a mesh in the camera frame, in `height.unit`, with the albedo as vertex colours."""
@@ -99,26 +98,51 @@ def reconstruct(
 ) -> Shape:
     """From a remover's layers to the shape: defects, repair, normals, height. Raises InputError where nothing can be measured.
 
+    Near lights whose places and scale are known are solved as such, normals and height in turn (see `recon.near_light`).
     seconds: times of what went before, to which those of the steps here are added.
     """
-    from recon.defects import find_defects
-
     require_suitable(capture)
     times = dict(seconds or {})
-    consumed = "pictures" if settings.gloss == "none" else "diffuse" if layers.matte is None else "matte"
-    pictures = layers.diffuse if layers.matte is None else layers.matte
+    pictures, consumed = consumed_pictures(layers, settings)
     with _timed(times, "repair", "repairing", progress):
         drop_clipped = settings.saturated == "drop"
         defects = find_defects(layers.specular, capture, settings.threshold, settings.dilate, pictures, drop_clipped)
         repaired = REPAIR.load(settings.repair)(pictures, defects.mask, capture)
     with _timed(times, "normals", "solving for normals", progress):
         weights = sample_weights(capture, layers, repaired, settings)
-        normals = NORMALS.load(settings.normals)(capture.reflectance(repaired.images), capture.lights, capture.mask, weights)
+        solver, integrator = NORMALS.load(settings.normals), HEIGHT.load(settings.height)
+        reflectance = capture.reflectance(repaired.images)
+        near = None
+        if places_known(capture):
+            normals, height, near = solve_near(capture, reflectance, weights, solver, integrator)
+        else:
+            normals = solver(reflectance, capture.lights, capture.mask, weights)
         if not normals.measurable.any():
             raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
-    with _timed(times, "height", "integrating", progress):
-        height = HEIGHT.load(settings.height)(normals.normal, normals.measurable, capture.scale)
-    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, times)
+        normals = calibrated(normals, capture, repaired.images, settings)
+    if near is None:
+        with _timed(times, "height", "integrating", progress):
+            height = integrator(normals.normal, normals.measurable, capture.scale)
+    return Shape(capture, settings, layers, consumed, defects, repaired.images, weights, normals, height, times, near)
+
+
+def consumed_pictures(layers: Layers, settings: Settings) -> tuple[NDArray[np.float32], str]:
+    """The pictures that photometric stereo works on, (K, H, W, 3), and which they are: "pictures", "matte" or "diffuse"."""
+    if layers.matte is not None:
+        return layers.matte, "matte"
+    return layers.diffuse, "pictures" if settings.gloss == "none" else "diffuse"
+
+
+def calibrated(normals: Normals, capture: Capture, images: NDArray[np.float32], settings: Settings) -> Normals:
+    """Normals whose uncertainty is what such pixels erred by on renders, where that was measured (see `recon.calibration`).
+
+    images: (K, H, W, 3), the pictures that were solved.
+    """
+    table = table_for(settings.gloss, settings.normals)
+    if table is None:
+        return normals
+    stated = table(normals.uncertainty, change(capture, images)).astype(np.float32)
+    return replace(normals, uncertainty=stated)
 
 
 def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, settings: Settings) -> NDArray[np.float32]:

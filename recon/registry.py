@@ -148,6 +148,7 @@ GLOSS: Registry[Remover] = Registry(
         "bilateral": "recon.gloss.bilateral:bilateral",
         "chromaticity": "recon.gloss.chromaticity:chromaticity",
         "low-rank": "recon.gloss.low_rank:low_rank",
+        "explain": "recon.gloss.explain:explain",
         "lime": "learn.removers:lime",
         "specular": "learn.removers:specular",
         "diffuse": "learn.removers:diffuse",
@@ -160,10 +161,12 @@ REPAIR: Registry[Repair] = Registry(
     "repair",
     "--inpaint",
     {
-        "none": "recon.repair:none",
-        "telea": "recon.repair:telea",
-        "navier-stokes": "recon.repair:navier_stokes",
-        "drop": "recon.repair:drop",
+        "none": "recon.repair.samples:none",
+        "telea": "recon.repair.inpainting:telea",
+        "navier-stokes": "recon.repair.inpainting:navier_stokes",
+        "biharmonic": "recon.repair.inpainting:biharmonic",
+        "stack": "recon.repair.stack:stack",
+        "drop": "recon.repair.samples:drop",
     },
 )
 NORMALS: Registry[Solver] = Registry(
@@ -178,6 +181,8 @@ NORMALS: Registry[Solver] = Registry(
         "rank-minimisation": "recon.normals.rank_minimisation:rank_minimisation",
         "position-threshold": "recon.normals.position_threshold:position_threshold",
         "coat": "recon.normals.coat:coat",
+        "semi-calibrated": "recon.normals.semi_calibrated:semi_calibrated",
+        "explain": "recon.normals.explain:explain",
     },
 )
 HEIGHT: Registry[Integrator] = Registry(

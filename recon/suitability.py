@@ -8,6 +8,7 @@ from gen.capture import Capture, Fault, grey
 from gen.capture_lights import NEAR, WITHOUT_DIRECTION
 from gen.errors import InputError
 from recon.conditioning import require_spanning_lights
+from recon.near_light import places_known
 
 TOO_MANY_CLIPPED = 0.9
 """Share of the object's samples that may be clipped before a capture is refused."""
@@ -67,9 +68,14 @@ def doubts(capture: Capture) -> list[str]:
     if behind:
         found.append(f"{behind} of {capture.count} lights come from behind the object (z <= 0): check their signs.")
     near = sum(kind in NEAR for kind in capture.light_kinds)
-    if near:
+    if near and places_known(capture):
         found.append(
-            f"{near} of {capture.count} lights are near, and were solved as distant: expect the surface to come out bent."
+            f"{near} of {capture.count} lights are near, and were solved so: direction and fall-off were worked out at every point."
+        )
+    elif near:
+        found.append(
+            f"{near} of {capture.count} lights are near, but were solved as distant, since no scale says where they stand over a "
+            "pixel: expect the surface to come out bent."
         )
     missing = float(((capture.faults & Fault.MISSING) > 0)[:, capture.mask].mean())
     if missing:

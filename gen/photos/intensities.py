@@ -102,9 +102,11 @@ def _strengths(m: Doubles, L: Doubles, used: NDArray[np.bool_]) -> Doubles:
     """The smallest eigenvector of sum_p diag(m) (I - L L^+) diag(m), inverted: strengths (K,), mean 1."""
     some = used.any(axis=1)
     A, pseudo = _inverse(L[some], used[some])
-    across = np.eye(L.shape[1]) - A @ pseudo
     v = (m * used)[some]
-    form = np.einsum("pi,pij,pj->ij", v, across, v, optimize=True)
+    # The pixels' matrices are never formed: A and its pseudo-inverse are three columns and three rows.
+    seen = (v[..., None] * A).transpose(0, 2, 1).reshape(-1, v.shape[1])
+    back = (pseudo * v[:, None]).reshape(-1, v.shape[1])
+    form = np.diag((v**2).sum(axis=0)) - seen.T @ back
     # Scaled by each light's own power: a lamp that was weak in all pictures must not be the cheapest answer.
     scale = np.sqrt(np.maximum((v**2).sum(axis=0), 1e-30))
     _, vectors = np.linalg.eigh(form / np.outer(scale, scale))

@@ -16,6 +16,7 @@ from recon.benchmark.spec import Combination
 from recon.benchmark.units import Unit
 from recon.compare import deviation, truth_figures
 from recon.metrics import angular_error, height_bytes, mse, normal_bytes
+from recon.normals.reliability import tally
 from recon.pictures import crop_box, tone, white_of
 from recon.reconstruct import Settings, Shape, reconstruct
 from recon.registry import GLOSS, Layers
@@ -35,8 +36,9 @@ def measure_unit(unit: Unit, combinations: Sequence[Combination]) -> tuple[list[
     figures: "normals" (mean angle to the true normals in degrees), "median", "eroded", "lit by all"; "height" (rmse in metres) and "of
     range" (in percent) where depth is known; "non-glossy" (mean angle), "normal MSE" and "height MSE" (8-bit), against the non-glossy
     result, where that is known; "picture MSE" (8-bit sRGB inside the mask, against the true diffuse layer) where that is; "measured",
-    percent of the mask. All rows of a unit are judged on the pixels that each of them measured; those that measured less than half
-    of the mask are judged on their own pixels, and do not narrow the others'. Maps: see `maps_of`.
+    percent of the mask; "reliability", the tally of stated uncertainty against error (`recon.normals.reliability.tally`).
+    All rows of a unit are judged on the pixels that each of them measured; those that measured less than half of the mask are judged on
+    their own pixels, and do not narrow the others'. Maps: see `maps_of`.
     """
     capture = unit.capture()
     removed: dict[str, tuple[Layers, float]] = {}
@@ -88,6 +90,10 @@ def _judge(
         row["lit by all"] = angles.get("lit by all", {}).get("mean")
         row["measured"] = 100 * share[combination]
         row["pixels"] = pixels
+        if capture.truth.normals is not None:
+            error = angular_error(shape.normals.normal, capture.truth.normals)
+            judged = common & shape.normals.measurable
+            row["reliability"] = tally(shape.normals.uncertainty[judged], error[judged]).tolist()
         if "height" in figures:
             row["height"], row["of range"] = figures["height"]["rmse"], figures["height"]["percent"]
         if picture[gloss] is not None:

@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from recon.benchmark.summary import label
 from recon.benchmark.units import Unit
-from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Row, Section, Table
+from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table
+from recon.page_plot import MAX_SERIES
 from recon.pictures import OUTSIDE, Picture, error_picture, sphere_legend
 from recon.tables import Column
 
 TOP = 30.0
 """Degrees at the end of the error maps' scale."""
+
+RELIABILITY = (
+    "Every pixel states one standard deviation of its normal's angle. Pixels are put together by what they state, and their true root mean "
+    "square error is drawn above it: on the dashed line the two agree, above it a method is worse than it says. Apart is the mean distance."
+)
 
 METHODS = {"gloss": "gloss", "repair": "repair", "normals_by": "normals", "height_by": "height"}
 """The four choices as rows name them -> as the page's table does."""
@@ -43,6 +49,9 @@ def benchmark_page(name: str, summary: Mapping[str, Any], maps: Iterable[tuple[U
         sections.append(
             Section("Objects", "Mean angular error in degrees of each object or kind of object.", [_objects(summary)])
         )
+    judged = [e for e in ranking if "reliability" in e]
+    if judged:
+        sections.append(Section("Uncertainty", RELIABILITY, _reliability(judged, ranking)))
     order = {tuple(e[k] for k in METHODS): i for i, e in enumerate(ranking)}
     shown = 0
     for unit, held in maps:
@@ -86,6 +95,49 @@ def _ranking(ranking: list[Mapping[str, Any]]) -> Table:
         [[row[j] for j in used] for row in rows],
         reference=[i for i, e in enumerate(ranking) if e["gloss"].startswith("true-")],
     )
+
+
+def _reliability(entries: list[Mapping[str, Any]], ranking: list[Mapping[str, Any]]) -> list[Part]:
+    """The reliability plot of the best combinations, and the figures of all."""
+    shown = [e for e in entries if len(e["reliability"]["bins"]) > 1 and not e["gloss"].startswith("true-")][: MAX_SERIES - 1]
+    parts: list[Part] = []
+    if shown:
+        top = max(b["predicted"] for e in shown for b in e["reliability"]["bins"])
+        curves = [
+            Series(
+                label(e, ranking),
+                [b["predicted"] for b in e["reliability"]["bins"]],
+                [b["actual"] for b in e["reliability"]["bins"]],
+            )
+            for e in shown
+        ]
+        parts.append(
+            Plot(
+                "Stated and true errors",
+                [*curves, Series("as stated", [0.0, top], [0.0, top], dashed=True)],
+                "stated, °",
+                "RMS error, °",
+            )
+        )
+    columns = [
+        Column("methods", "s"),
+        Column("stated", ".2f", "deg"),
+        Column("true", ".2f", "deg"),
+        Column("apart", ".2f", "deg"),
+        Column("not stated", ".1f", "%"),
+    ]
+    rows = [
+        [
+            label(e, ranking),
+            e["reliability"]["predicted"],
+            e["reliability"]["actual"],
+            e["reliability"]["calibration_error"],
+            100 * e["reliability"]["unknown"],
+        ]
+        for e in entries
+    ]
+    parts.append(Table("Uncertainty of all combinations", columns, rows))
+    return parts
 
 
 def _left_out(summary: Mapping[str, Any]) -> list[Part]:

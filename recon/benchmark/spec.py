@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from gen.errors import InputError
 from gen.strict_yaml import first_complaint, parse_yaml, read_yaml
 from recon.light_draws import CONDITION
+from recon.reconstruct import Settings
 from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Registry
 
 Whole = Annotated[int, Field(strict=True)]
@@ -68,7 +69,7 @@ class Benchmark(_Part):
     gloss: Names = ("none",)
     repair: Names = ("none",)
     normals: Names = ("least-squares",)
-    height: Names = ("quadratic",)
+    height: Names = (Settings.height,)
 
     @field_validator("gloss", "repair", "normals", "height")
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from recon.benchmark.cells import YARDSTICK, Row
 from recon.benchmark.published import published
 from recon.benchmark.spec import Combination
+from recon.normals.reliability import of_tally
 
 RESAMPLES = 2000
 """Of the bootstrap."""
@@ -40,8 +42,9 @@ def summarise(rows: Sequence[Row], combinations: Sequence[Combination], seed: in
     """The summary of a run.
 
     "ranking": for each combination that measured every unit, by mean error: names, "units", the means of `FIGURES`, "sd" of the error
-    over units, "difference" to the glossy pictures by the same solver and integrator (degrees, below 0 is better) with "interval", its
-    95 % paired bootstrap interval over captures and their draws, "gap closed" with "gap interval", and "seconds" a unit. "left out":
+    over units, "reliability" (see `recon.normals.reliability.Reliability`), "difference" to the glossy pictures by the same solver and
+    integrator (degrees, below 0 is better) with "interval", its 95 % paired bootstrap interval over captures and their draws, "gap
+    closed" with "gap interval", and "seconds" a unit. "left out":
     combinations that failed in some unit, with the first reason and how often. "objects": combination -> group -> mean error.
     "published": rows of `recon.benchmark.published` for the groups that are there, unless few lights were used. seed: of the bootstrap;
     the same rows give the same summary.
@@ -96,6 +99,9 @@ def _ranked(c: Combination, found: list[Row], whole: Mapping[Combination, list[R
         values = [row[figure] for row in found if row.get(figure) is not None and np.isfinite(row[figure])]
         if len(values) == len(found):
             entry[figure] = float(np.mean(values))
+    counted = [row["reliability"] for row in found if "reliability" in row]
+    if counted and np.sum(counted, axis=0)[:-1, 0].any():
+        entry["reliability"] = asdict(of_tally(np.sum(counted, axis=0)))
     entry["seconds"] = float(np.mean([row["seconds"]["gloss"] + row["seconds"]["rest"] for row in found]))
     glossy, matte = (whole.get((name, "none", *c[2:])) for name in ("none", YARDSTICK))
     if glossy is None:

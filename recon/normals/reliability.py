@@ -55,6 +55,42 @@ class Reliability:
     unknown: float
 
 
+def tally(sigma: Floating, error: Floating, edges: Sequence[float] = EDGES) -> NDArray[np.float64]:
+    """What a reliability table needs of some pixels: tallies of several captures add up to that of all. See `of_tally`.
+
+    sigma, error: degrees, any shape, NaN where unknown. Returns (len(edges), 4): of each bin, and in the last row of the pixels that have
+    an error alone: how many, and the sums of sigma, its square and the error's square.
+    """
+    has_error = np.isfinite(error)
+    both = has_error & np.isfinite(sigma)
+    s, e = sigma[both].astype(np.float64), error[both].astype(np.float64)
+    place = np.clip(np.searchsorted(edges, s, side="right") - 1, 0, len(edges) - 2)
+    sums = [np.bincount(place, values, len(edges)) for values in (np.ones(len(s)), s, s**2, e**2)]
+    result = np.stack(sums, 1).astype(np.float64)
+    result[-1, 0] = (has_error & ~both).sum()
+    return result
+
+
+def of_tally(counted: NDArray[np.float64], edges: Sequence[float] = EDGES) -> Reliability:
+    """The reliability table of a `tally`. Raises InputError where no pixel has both an uncertainty and an error."""
+    number, stated, square, erred = counted[:-1].T
+    pixels = number.sum()
+    if pixels == 0:
+        raise InputError("reliability: no pixel has both an uncertainty and an error; this solver may state none")
+    bins = tuple(
+        Bin(float(edges[i]), float(edges[i + 1]), number[i] / pixels, stated[i] / number[i], float(np.sqrt(erred[i] / number[i])))
+        for i in np.flatnonzero(number)
+    )
+    return Reliability(
+        bins=bins,
+        calibration_error=float(sum(b.share * abs(b.predicted - b.actual) for b in bins)),
+        predicted=float(np.sqrt(square.sum() / pixels)),
+        actual=float(np.sqrt(erred.sum() / pixels)),
+        pixels=int(pixels),
+        unknown=float(counted[-1, 0] / (pixels + counted[-1, 0])),
+    )
+
+
 def reliability(sigma: Floating, error: Floating, edges: Sequence[float] = EDGES) -> Reliability:
     """The reliability table of stated standard deviations.
 
@@ -70,27 +106,9 @@ def reliability(sigma: Floating, error: Floating, edges: Sequence[float] = EDGES
     bounds = np.asarray(edges, dtype=np.float64)
     if bounds.ndim != 1 or len(bounds) < 2 or not (np.diff(bounds) > 0).all():
         raise InputError("reliability: the bins' edges must increase, and be two at least")
-    has_error = np.isfinite(error)
-    both = has_error & np.isfinite(sigma)
-    if not both.any():
-        raise InputError("reliability: no pixel has both an uncertainty and an error; this solver may state none")
-    s, e = sigma[both].astype(np.float64), error[both].astype(np.float64)
-    if (s < 0).any():
+    if (sigma[np.isfinite(sigma) & np.isfinite(error)] < 0).any():
         raise InputError("reliability: a standard deviation is negative")
-    place = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(bounds) - 2)
-    bins = []
-    for i in np.unique(place):
-        here = place == i
-        rms = float(np.sqrt((e[here] ** 2).mean()))
-        bins.append(Bin(float(bounds[i]), float(bounds[i + 1]), float(here.mean()), float(s[here].mean()), rms))
-    return Reliability(
-        bins=tuple(bins),
-        calibration_error=sum(b.share * abs(b.predicted - b.actual) for b in bins),
-        predicted=float(np.sqrt((s**2).mean())),
-        actual=float(np.sqrt((e**2).mean())),
-        pixels=int(both.sum()),
-        unknown=1 - float(both.sum() / has_error.sum()),
-    )
+    return of_tally(tally(sigma, error, edges), edges)
 
 
 def of_captures(paths: Sequence[str | Path], solver: str) -> Reliability:

@@ -54,8 +54,8 @@ def test_shipped_benchmarks_are_such(name: str) -> None:
     found, _ = read_benchmark(name)
     assert found.benchmark == name
     combinations = found.combinations()
-    assert ("none", "none", "least-squares", "quadratic") in combinations
-    assert ("true-matte", "none", "least-squares", "quadratic") in combinations
+    assert ("none", "none", "least-squares", "adaptive") in combinations
+    assert ("true-matte", "none", "least-squares", "adaptive") in combinations
     assert len(set(combinations)) == len(combinations)
 
 

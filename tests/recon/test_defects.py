@@ -12,7 +12,7 @@ from skimage.morphology import dilation
 
 from gen.capture import Capture, Fault
 from gen.errors import InputError
-from recon.defects import FLOOR, corroborated, find_defects, otsu_threshold
+from recon.defects import FLOOR, contradicted, find_defects, guarded_otsu
 from recon.registry import GLOSS
 
 Synthetic = Callable[..., Capture]
@@ -74,7 +74,7 @@ def test_clipped_samples_are_defects() -> None:
 def test_two_classes_are_cut_where_skimage_cuts_them() -> None:
     rng = np.random.default_rng(0)
     roots = np.concatenate([rng.normal(0.1, 0.02, 4000), rng.normal(0.9, 0.05, 1000)]).clip(0)
-    x = otsu_threshold(roots**2)
+    x = guarded_otsu(roots**2)
     cut = np.sqrt(x)
     assert 0.2 < cut < 0.75
     assert ((roots > cut) != (roots > threshold_otsu(roots))).mean() < 0.001  # an edge or the middle of a bin apart
@@ -84,7 +84,7 @@ def test_two_classes_are_cut_where_skimage_cuts_them() -> None:
 @pytest.mark.parametrize("radius", [3, 10])
 def test_a_highlight_is_found(peak: float, radius: float) -> None:
     luma = blob(radius=radius, peak=peak)
-    x = otsu_threshold(luma.ravel())
+    x = guarded_otsu(luma.ravel())
     assert FLOOR <= x < 0.9 * peak
     assert 0 < (luma > x).mean() < 0.2
 
@@ -99,7 +99,7 @@ def test_one_class_is_not_cut_in_half(kind: str) -> None:
         "constant": np.full(5000, 0.3),
         "zero": np.zeros(5000),
     }[kind]
-    x = otsu_threshold(values)
+    x = guarded_otsu(values)
     assert (values > x).mean() < 0.02
 
 
@@ -133,7 +133,7 @@ def test_synthetic_highlights_are_found_where_they_are(synthetic, alpha: float) 
 
 def test_bad_arguments_are_refused() -> None:
     specular, capture = plain(np.zeros((1, 8, 8)))
-    for bad in (0.0, -1.0, float("nan"), float("inf"), "otsu"):
+    for bad in (0.0, -1.0, float("nan"), float("inf"), "cut"):
         with pytest.raises(InputError, match="--threshold"):
             find_defects(specular, capture, bad)
     with pytest.raises(InputError, match="dilate"):
@@ -162,5 +162,31 @@ def test_noise_does_not_pass_for_gloss_left_behind(synthetic: Synthetic) -> None
     truth = capture.truth
     noise = (1 + 0.1 * np.random.default_rng(0).normal(size=truth.matte.shape[:3])[..., None]).astype(np.float32)
     glossy = capture.mask & (truth.specular.max(axis=(0, 3)) > 0.3)
-    assert corroborated(truth.matte * noise, capture)[capture.mask].mean() > 0.6
-    assert corroborated((truth.matte + truth.specular) * noise, capture)[glossy].mean() < 0.2
+    assert contradicted(truth.matte * noise, capture)[capture.mask].mean() < 0.4
+    assert contradicted((truth.matte + truth.specular) * noise, capture)[glossy].mean() > 0.8
+
+
+def test_where_nothing_can_be_told_shadows_are_innocent_and_three_lights_are_not(synthetic: Synthetic) -> None:
+    """Left in half, gloss is a defect where four lit samples contradict each other, and under three lights everywhere."""
+    capture = synthetic("sphere", 64, alpha=0.2, specular=0.3)
+    left = capture.truth.diffuse + capture.truth.specular / 2
+    facing = (capture.truth.normals @ capture.lights.T > 0.1).sum(-1)
+    doubt = contradicted(left, capture)
+    assert doubt[facing == 5].any()
+    assert not doubt[facing < 4].any()
+    three = [0, 1, 3]
+    assert (contradicted(left[three], capture.select(three)) == capture.mask).all()
+
+
+def test_otsu_is_that_of_each_picture() -> None:
+    """skimage's own cut of every picture's object, clipped and background samples apart, with none of the guards of auto."""
+    rng = np.random.default_rng(3)
+    specular, capture = plain(rng.uniform(0, 1, (3, 40, 40)) ** np.array([1, 2, 4])[:, None, None])
+    capture = replace(capture, mask=np.arange(40) < np.full((40, 1), 25))
+    found = find_defects(specular, capture, "otsu", dilate=0)
+    luma = specular[..., 0] / 2
+    cuts = np.array([threshold_otsu(picture[capture.mask]) for picture in luma])
+    np.testing.assert_allclose(found.threshold, cuts, rtol=1e-3)
+    assert ((luma > cuts[:, None, None]) & capture.mask != found.mask).mean() < 1e-3
+    assert found.method == "otsu"
+    assert not find_defects(np.zeros_like(specular), capture, "otsu").mask.any()

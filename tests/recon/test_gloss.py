@@ -14,8 +14,8 @@ from recon.gloss.geometry import fit, gloss_from_geometry
 from recon.gloss.low_rank import complete
 from recon.registry import GLOSS
 
-CLASSICAL = ["bilateral", "chromaticity", "low-rank"]
-WHOLE_STACK = ["chromaticity", "low-rank"]
+CLASSICAL = ["bilateral", "chromaticity", "low-rank", "explain"]
+WHOLE_STACK = ["chromaticity", "low-rank", "explain"]
 COLOURS = {"coloured": (0.6, 0.3, 0.15), "grey": (0.5, 0.5, 0.5)}
 NEEDS_TORCH = {name for name in GLOSS if not GLOSS[name].startswith("recon.")}
 
