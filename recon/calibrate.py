@@ -1,4 +1,6 @@
-"""Measures what stated uncertainties are worth, on captures with true normals: `python -m recon.calibrate FOLDER... -o calibration.json`.
+"""Measures what stated uncertainties are worth, on captures with true normals and their matte twins.
+
+python -m recon.calibrate FOLDER... -o calibration.json
 
 The shipped table is of the preset `zoo` (degloss gen render zoo -o zoo): every remover before least squares, and no removal,
 `chromaticity` and `group` before every other solver.
@@ -10,6 +12,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +30,7 @@ from recon.registry import GLOSS, NORMALS, REPAIR
 
 Doubles = NDArray[np.float64]
 
-PIXELS = 2000
+PIXELS = 1500
 """Pixels that a capture contributes to a table at most."""
 
 CAPTURES = 72
@@ -76,7 +79,9 @@ def calibrate(places: Sequence[Path], wanted: Sequence[tuple[str, str]], seed: i
             capture = read_capture(place)
             if capture.truth.normals is None:
                 raise InputError(f"{place}: has no true normals to compare with; choose renders or captures with truth")
-            for gloss, normals, rows in samples(capture, wanted, rng):
+            # The matte twin too: a part without gloss, or whose gloss is gone, must not be stated as if it had some.
+            twins = [capture] if capture.truth.matte is None else [capture, capture.with_images(capture.truth.matte)]
+            for gloss, normals, rows in chain.from_iterable(samples(twin, wanted, rng) for twin in twins):
                 gathered.setdefault((gloss, normals), []).append(rows)
     result: list[dict[str, object]] = []
     for (gloss, normals), parts in gathered.items():

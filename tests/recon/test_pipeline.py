@@ -42,7 +42,9 @@ def test_every_combination_measures(gloss: str, repair: str, synthetic: Syntheti
     error = angular_error(shape.normals.normal, capture.truth.normals)[capture.mask]
     assert np.isfinite(error).mean() > 0.99
     assert np.isfinite(shape.height.height[shape.normals.measurable]).all()
-    assert shape.consumed == {"none": "pictures", "true-matte": "matte", "group": "matte"}.get(gloss, "diffuse")
+    assert shape.consumed == {"none": "pictures", "true-matte": "matte", "group": "matte", "explain": "matte"}.get(
+        gloss, "diffuse"
+    )
     assert ((shape.weights >= 0) & (shape.weights <= 1)).all()
 
 
