@@ -149,7 +149,7 @@ def _left_out(summary: Mapping[str, Any]) -> list[Part]:
 
 def _objects(summary: Mapping[str, Any]) -> Table:
     groups, entries = summary["groups"], summary["objects"]
-    rows: list[list[object]] = [[label(e, entries), *(e[g] for g in groups)] for e in entries]
+    rows: list[list[object]] = [[label(e, entries), *(e["errors"][g] for g in groups)] for e in entries]
     rows += [[f"{row}, published, 96 lights", *(values.get(g) for g in groups)] for row, values in summary["published"].items()]
     ours = len(entries)
     return Table(

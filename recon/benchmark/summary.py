@@ -44,8 +44,8 @@ def summarise(rows: Sequence[Row], combinations: Sequence[Combination], seed: in
     "ranking": for each combination that measured every unit, by mean error: names, "units", the means of `FIGURES`, "sd" of the error
     over units, "reliability" (see `recon.normals.reliability.Reliability`), "difference" to the glossy pictures by the same solver and
     integrator (degrees, below 0 is better) with "interval", its 95 % paired bootstrap interval over captures and their draws, "gap
-    closed" with "gap interval", and "seconds" a unit. "left out":
-    combinations that failed in some unit, with the first reason and how often. "objects": combination -> group -> mean error.
+    closed" with "gap interval", and "seconds" a unit. "left out": combinations that failed in some unit, with the first reason and how
+    often. "objects": of each combination, its names and "errors", group -> mean error.
     "published": rows of `recon.benchmark.published` for the groups that are there, unless few lights were used. seed: of the bootstrap;
     the same rows give the same summary.
     """
@@ -68,7 +68,7 @@ def summarise(rows: Sequence[Row], combinations: Sequence[Combination], seed: in
             for c, found in failed.items()
         ],
         "objects": [
-            {**_names(c), **{g: float(np.mean([row["normals"] for row in found if row["group"] == g])) for g in groups}}
+            {**_names(c), "errors": {g: float(np.mean([row["normals"] for row in found if row["group"] == g])) for g in groups}}
             for c, found in sorted(whole.items(), key=lambda item: float(np.mean([row["normals"] for row in item[1]])))
         ],
         "published": {} if any(len(row["lights"]) < PUBLISHED_LIGHTS for row in rows) else published(groups),
@@ -158,7 +158,10 @@ def markdown(name: str, summary: Mapping[str, Any]) -> str:
     if len(summary["groups"]) > 1 or summary["published"]:
         groups = summary["groups"]
         lines += ["", f"| by object | {' | '.join(groups)} |", "|---|" + "---|" * len(groups)]
-        lines += [f"| {label(e, summary['objects'])} | {' | '.join(_text(e[g]) for g in groups)} |" for e in summary["objects"]]
+        lines += [
+            f"| {label(e, summary['objects'])} | {' | '.join(_text(e['errors'][g]) for g in groups)} |"
+            for e in summary["objects"]
+        ]
         for row, values in summary["published"].items():
             lines.append(f"| {row}, published, 96 lights | {' | '.join(_text(values.get(g)) for g in groups)} |")
     for entry in summary["left out"]:

@@ -202,6 +202,27 @@ def test_resamples_take_whole_captures() -> None:
         assert sum(i < 2 for i in row) in (0, 2, 4)
 
 
+def test_a_group_of_captures_may_be_called_like_a_column() -> None:
+    combinations = [("none", "none", "least-squares", "dct"), ("chromaticity", "none", "least-squares", "dct")]
+    rows = [
+        {
+            **dict(zip(("gloss", "repair", "normals_by", "height_by"), c, strict=True)),
+            "capture": f"c-{group}",
+            "group": group,
+            "draw": 0,
+            "lights": [1, 2, 3],
+            "normals": error,
+            "seconds": {"gloss": 0.0, "rest": 0.1},
+        }
+        for c, errors in zip(combinations, ((9.0, 8.0), (3.0, 2.0)), strict=True)
+        for group, error in zip(("gloss", "normals_by"), errors, strict=True)
+    ]
+    text = markdown("b", summarise(rows, combinations, 0))
+    assert "| by object | gloss | normals_by |" in text
+    assert "| chromaticity | 3.00 | 2.00 |" in text
+    assert "| none | 9.00 | 8.00 |" in text
+
+
 def test_published_rows_stand_under_their_objects() -> None:
     assert all(len(values) == len(OBJECTS) for values in ROWS.values())
     found = published(["bearPNG", "something", "cat"])
