@@ -16,7 +16,8 @@ demo: $(STAMP)
 	$(BIN)/degloss demo -o out/demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -m "not soak" -n $(WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -q -m "not soak and not alone" -n $(WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -q -m "alone and not soak"
 
 bench: $(STAMP)
 	$(BIN)/python -m recon.bench

@@ -59,6 +59,7 @@ def test_help(command: list[str]) -> None:
     assert run.stderr == ""
 
 
+@pytest.mark.alone
 def test_help_is_quick() -> None:
     """The best of several runs, less the start of the interpreter itself: a guard against heavy imports, not a stopwatch."""
 
@@ -165,6 +166,7 @@ def test_read_only_folder(folder: Path, tmp_path: Path) -> None:
     refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "cannot be written")
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("after", [0.05, 0.3, 0.6, 1.2])
 def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_path: Path, after: float) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -345,6 +345,7 @@ def test_a_limit_on_file_sizes_is_a_full_disk(whole: Path, plan_file: Path, tmp_
     assert contents(tmp_path / "set") == contents(whole)
 
 
+@pytest.mark.alone
 def test_ctrl_c_ends_soon_and_says_how_to_go_on(whole: Path, plan_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     with start("render", plan_file, "-o", folder, "--workers", "2") as process:
