@@ -22,7 +22,7 @@ test: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m recon.bench
 	$(BIN)/python -m recon.normals.bench
-	$(BIN)/python -m recon.repair_bench
+	$(BIN)/python -m recon.repair.bench
 	$(BIN)/python -m recon.multiview.bench
 	$(BIN)/python -m recon.height.bench
 	$(BIN)/python -m gen.bench

@@ -62,7 +62,9 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
     images = layers["diffuse"] + layers["specular"]
     faults = np.where((images <= 0).all(axis=3), int(Fault.DARK), 0).astype(np.uint8)
     W, H = spec.resolution
-    middle = spec.camera.distance_mm - spec.pose.translation_mm[2]
+    # Places of near lights are stated from where the camera looks, and so must the distance be; the fall-off tells where the object lies.
+    positions = spec.light_positions()
+    middle = spec.camera.distance_mm - (spec.pose.translation_mm[2] if positions is None else 0)
     if isinstance(spec.camera, Orthographic):
         scale = Scale(mm_per_pixel=spec.camera.width_mm / W, distance_mm=middle if middle > 0 else None)
     else:
@@ -93,7 +95,7 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
             "versions": {"degloss": _version("degloss"), "numpy": np.__version__},
         },
         light_kinds=spec.light_kinds(),
-        positions=spec.light_positions(),
+        positions=positions,
     )
     capture = with_faults(capture, spec.faults or Faults(), rng_of(spec.seed), spec.clip)
     if spec.half and not np.array_equal(capture.images, images):  # no longer formed from halves, so stored as they are

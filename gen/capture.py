@@ -42,7 +42,8 @@ class Scale:
 
     mm_per_pixel: orthographic views, millimetres between pixel centres.
     camera: (3, 3) OpenCV intrinsics (y down, pixel centres at integers): the view is perspective.
-    distance_mm: distance along the optical axis from the camera to the object's middle; with `camera` it fixes the scale.
+    distance_mm: distance along the optical axis from the camera to the object's middle, or where lights are near to the point that their
+    places are stated from; with `camera` it fixes the scale.
     """
 
     mm_per_pixel: float | None = None

@@ -98,7 +98,7 @@ def _load(mesh: MeshFile) -> Mesh:
     from blender_scenes.shapes import Mesh as Surface
 
     path = Path(mesh.file)
-    vertices, faces, normals = _merged(path)
+    vertices, faces, normals = merged(path, read_scene(path)[0])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     longest = float((high - low).max())
     if not longest > 0:
@@ -118,21 +118,39 @@ def _load(mesh: MeshFile) -> Mesh:
     return Surface(vertices, faces, normals)
 
 
-def _merged(path: Path) -> tuple[Any, Any, Any]:
-    """Vertices, faces and the file's own normals (None where any part lacks them) of the whole scene, each part where it stands."""
+def read_scene(path: Path) -> tuple[Any, bytes]:
+    """The trimesh scene of a mesh file, and the file's bytes. Nothing but the file itself is read. Raises InputError, one line."""
     import trimesh
 
+    _check_name(path)
     kind = path.suffix.lower()[1:]
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     check_size(path, data)
     try:
         # No resolver: no other file is opened. Pictures inside the file are not decoded.
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=None, process=False, skip_materials=True)
-        parts = [(scene.graph[node][0], scene.geometry[scene.graph[node][1]]) for node in scene.graph.nodes_geometry]
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
     except Exception as error:  # a reader of foreign files fails in any way it likes
         raise InputError(f"{path}: cannot be read as {kind.upper()} ({type(error).__name__}: {str(error)[:120]})") from None
+    return scene, data
+
+
+def merged(path: Path, scene: Any) -> tuple[Any, Any, Any]:
+    """Vertices (V, 3), faces (F, 3) and the file's own normals (V, 3; None where any part lacks them) of the whole scene.
+
+    Each part stands where the scene puts it, in the file's unit and axes. path: for messages. Raises InputError, one line, where there are
+    no faces or too many, or a coordinate is not finite.
+    """
+    import trimesh
+
+    try:
+        parts = [(scene.graph[node][0], scene.geometry[scene.graph[node][1]]) for node in scene.graph.nodes_geometry]
+    except Exception as error:  # a scene's graph may be broken in any way
+        raise InputError(f"{path}: its parts have no place ({type(error).__name__}: {str(error)[:120]})") from None
     parts = [(place, part) for place, part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
         raise InputError(f"{path}: holds no faces (points and curves are no mesh)")

@@ -150,6 +150,7 @@ def lights(
     strengths: Literal["equal", "unknown"] = "equal",
     write: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
     encoding: Literal["srgb", "linear"] | None = None,
+    json: Annotated[bool, Parameter(negative=(), show_default=False)] = False,
 ) -> None:
     """Find the lights of pictures that nobody measured, as far as pictures can tell, and say what they cannot.
 
@@ -166,15 +167,26 @@ def lights(
         Write lights.txt beside the pictures, and light_intensities.txt where strengths are unknown.
     encoding
         How the files' numbers are meant. Default: 8-bit is sRGB, 16-bit and EXR are linear.
+    json
+        Print one JSON object on stdout.
     """
+    from gen.files import dumps
     from recon.unknown_lights import find_lights, next_step, read_pictures, remarks, table, write_lights
 
     pictures = read_pictures(folder, encoding)
     found = find_lights(pictures, strengths, str(folder))
     notes = remarks(found, strengths)
+    written = write_lights(folder, found, pictures.names, notes, strengths) if write else []
+    if json:
+        rows = {"names": pictures.names, "lights": found.lights, "strengths": found.strengths}
+        print(
+            dumps(
+                {"folder": folder, **rows, "misfit": found.misfit, "against": found.against, "notes": notes, "written": written}
+            )
+        )
+        return
     print(table(found, pictures.names, notes), end="")
-    if write:
-        written = write_lights(folder, found, pictures.names, notes, strengths)
+    if written:
         print(f"# written: {', '.join(map(str, written))}; next: {next_step(folder, written)}")
 
 

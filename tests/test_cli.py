@@ -35,6 +35,9 @@ COMMANDS = [
     ["recon", "methods"],
     ["recon", "bench"],
     ["recon", "capture"],
+    ["recon", "lights"],
+    ["recon", "inspect"],
+    ["recon", "multiview"],
 ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
-from gen.files import must_exist
-from gen.mesh_formats import FORMATS, MAX_FACES, check_size
 from gen.mesh_normals import smoothed
+from gen.meshes import merged, read_scene
 
 Doubles = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4}
 """Millimetres in each unit of length that a mesh file may be in."""
-
-MAX_BYTES = 500_000_000
 
 CREASE_DEGREES = 30.0
 """Edges no sharper than this are facets of a curved surface, whose normal is interpolated across them."""
@@ -79,42 +75,11 @@ def read_surface(path: Path, unit: str | None = None) -> Surface:
 
 def _read(path: Path) -> tuple[Doubles, Faces, str | None]:
     """Vertices and faces of the whole scene, each part where it stands, and the unit that the file names, if any."""
-    import trimesh
-
-    kind = path.suffix.lower()
-    if kind not in FORMATS:
-        raise InputError(f"{path}: is no mesh that can be read; there are {', '.join(FORMATS)}")
-    try:
-        must_exist(path, "a mesh")
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: is larger than {MAX_BYTES // 10**6} MB; simplify it")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    check_size(path, data)
-    try:
-        # No resolver: no other file is opened. Pictures inside the file are not decoded.
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=None, process=False, skip_materials=True)
-        mesh = scene.to_mesh()
-        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-        said = _unit_said(data, scene)
-    except MemoryError:
-        raise InputError(f"{path}: does not fit into memory") from None
-    except Exception as error:  # a reader of foreign files fails in any way it likes
-        raise InputError(f"{path}: cannot be read as {kind[1:].upper()} ({type(error).__name__}: {str(error)[:120]})") from None
-    if not len(faces):
-        raise InputError(f"{path}: holds no faces (points and curves are no mesh)")
-    if len(faces) > MAX_FACES:
-        raise InputError(f"{path}: has more than {MAX_FACES // 10**6} million faces; simplify it")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: a face names a point that is not there")
-    used, flat = np.unique(faces, return_inverse=True)
-    vertices, faces = vertices[used], flat.reshape(-1, 3)
-    if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e12:
-        raise InputError(f"{path}: holds a coordinate that is not finite, or too large")
+    scene, data = read_scene(path)
+    vertices, faces, _ = merged(path, scene)
     if not np.ptp(vertices, axis=0).max() > 0:
         raise InputError(f"{path}: all its points lie in one place")
-    return vertices, faces, said
+    return np.asarray(vertices, np.float64), np.asarray(faces, np.int64), _unit_said(data, scene)
 
 
 def _unit_said(data: bytes, scene: Any) -> str | None:

@@ -47,9 +47,7 @@ def write_into(inspection: Inspection, folder: Path) -> dict[str, Any]:
 
 
 def _write_report(inspection: Inspection, folder: Path) -> str | None:
-    from importlib.util import find_spec
-
-    if find_spec("jinja2") is None:
+    if PARTS["report"].look().state != "ok":
         print(f"degloss: {PARTS['report'].line}", file=sys.stderr)
         return None
     from recon.inspection.report import inspection_page

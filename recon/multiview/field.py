@@ -12,6 +12,18 @@ from recon.normals.compiled import compiled
 
 
 @compiled
+def project(P: Doubles, origin: Doubles, side: float, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Column, row and depth at which P (3, 4) sees voxel (i, j, k); a depth of 0 or less is behind the camera, and leaves the others 0."""
+    X, Y, Z = origin[0] + side * i, origin[1] + side * j, origin[2] + side * k
+    z = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
+    if z <= 0:
+        return 0.0, 0.0, z
+    x = P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]
+    y = P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]
+    return x / z, y / z, z
+
+
+@compiled
 def integrate(
     total: Floats, weight: Floats, origin: Doubles, side: float, limit: float, P: Doubles, depth: Floats, facing: Floats
 ) -> None:
@@ -25,13 +37,8 @@ def integrate(
     for i in range(total.shape[0]):
         for j in range(total.shape[1]):
             for k in range(total.shape[2]):
-                X, Y, Z = origin[0] + side * i, origin[1] + side * j, origin[2] + side * k
-                z = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-                if z <= 0:
-                    continue
-                x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / z
-                y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / z
-                if not (0 <= x < W - 1 and 0 <= y < H - 1):
+                x, y, z = project(P, origin, side, i, j, k)
+                if z <= 0 or not (0 <= x < W - 1 and 0 <= y < H - 1):
                     continue
                 c, r = int(x), int(y)
                 u, v = x - c, y - r
@@ -57,12 +64,8 @@ def carve(field: Floats, known: Bools, origin: Doubles, side: float, limit: floa
     for i in range(field.shape[0]):
         for j in range(field.shape[1]):
             for k in range(field.shape[2]):
-                X, Y, Z = origin[0] + side * i, origin[1] + side * j, origin[2] + side * k
-                z = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-                if z <= 0:
-                    continue
-                c = int(np.rint((P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / z))
-                r = int(np.rint((P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / z))
-                if 0 <= c < W and 0 <= r < H and not mask[r, c]:
+                x, y, z = project(P, origin, side, i, j, k)
+                c, r = int(np.rint(x)), int(np.rint(y))
+                if z > 0 and 0 <= c < W and 0 <= r < H and not mask[r, c]:
                     field[i, j, k] = limit
                     known[i, j, k] = True

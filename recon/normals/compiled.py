@@ -1,12 +1,14 @@
 """Compiled loops over pixels: the weighted 3x3 solve, those that iterate it (reweighted L1, sparse Bayesian learning), and the spread.
 
 Pixels lie in rows, (P, K), so that a pixel's samples are neighbours in memory. Inputs are float32, everything inside float64. The loops
-hold no lock, and `in_parts` spreads them over threads. Compiled code is kept on disk, so only the first call ever waits.
+hold no lock, and `in_parts` spreads them over threads. Compiled code is kept on disk, so only the first call ever waits (`CACHE`).
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -15,6 +17,25 @@ from numpy.typing import NDArray
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
+
+PACKAGE = Path(__file__).parent.parent
+
+
+def sources_stamp(folder: Path) -> str:
+    """A hash of all modules in a folder that hold compiled functions: it changes when one of them does."""
+    texts = sorted((path.relative_to(folder).as_posix(), path.read_bytes()) for path in folder.rglob("*.py"))
+    stamp = hashlib.sha256()
+    for name, text in texts:
+        if b"@compiled" in text:
+            stamp.update(f"{name} {len(text)}\n".encode() + text)
+    return stamp.hexdigest()[:16]
+
+
+CACHE = Path(numba.config.CACHE_DIR or Path(__file__).parent / "__pycache__") / f"numba-{sources_stamp(PACKAGE)}"  # type: ignore[attr-defined]
+"""Where compiled code is kept. By itself numba looks at a function's own module alone, and would go on with old code where a function that
+is called from another module has changed. Under NUMBA_CACHE_DIR where that is set; where it cannot be written, numba finds a place."""
+
+numba.config.CACHE_DIR = str(CACHE)  # type: ignore[attr-defined]
 
 PART = 4096
 """Pixels in a part: small enough to spread evenly over threads, large enough that starting one costs nothing."""

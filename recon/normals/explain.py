@@ -94,8 +94,8 @@ def explained(
     angle = np.full(len(r.y), np.nan)
     samples, kept = r.samples, r.weights
     if len(pixels):
-        object_ = estimate(pixels, of := rig(lights))
-        optics, strength = object_.optics(), object_.strength
+        material = estimate(pixels, of := rig(lights))
+        optics, strength = material.optics(), material.strength
         found = search_coarse_to_fine(pixels, there, of, optics, strength)
         smooth(pixels, there, found, of, optics, strength, SMOOTHINGS)
         lobe, base, share, variance = explanations(pixels, found, of, optics, strength)

@@ -128,9 +128,10 @@ def test_colour_separates_perfectly(synthetic, shape: str, alpha: float, count: 
 @pytest.mark.parametrize("count", [5, 12])
 def test_whole_stack_beats_nothing(synthetic, name: str, colour: str, count: int) -> None:
     glossy, removed, best = [], [], []
+    every = 2 if name == "explain" else 1  # it takes half a second a capture
     for shape in ("sphere", "cylinder"):
-        for alpha in (0.05, 0.1, 0.2, 0.4618):
-            for specular in (0.05, 0.2, 0.5):
+        for alpha in (0.05, 0.1, 0.2, 0.4618)[::every]:
+            for specular in (0.05, 0.2, 0.5)[::every]:
                 capture = synthetic(shape, 48, None if count == 5 else dome(), COLOURS[colour], specular, alpha)
                 glossy.append(error(capture, capture.images))
                 removed.append(error(capture, GLOSS.load(name)(capture).diffuse))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gen.capture import Capture
-from recon import repair_bench
 from recon.registry import REPAIR
-from recon.repair_bench import HOLES, THRESHOLDS, cut_holes, hole_figures, main, threshold_figures
+from recon.repair import bench as repair_bench
+from recon.repair.bench import HOLES, THRESHOLDS, cut_holes, hole_figures, main, threshold_figures
 
 Synthetic = Callable[..., Capture]
 

@@ -15,7 +15,7 @@ from gen.errors import InputError
 from recon.completion import complete
 from recon.conditioning import condition_numbers
 from recon.metrics import angular_error
-from recon.normals.compiled import inverse, sort
+from recon.normals.compiled import CACHE, PACKAGE, inverse, sort, sources_stamp
 from recon.normals.l1 import l1
 from recon.normals.least_squares import least_squares
 from recon.normals.position_threshold import BRIGHTEST, DARKEST, KEPT_CONDITION, kept, position_threshold
@@ -310,3 +310,16 @@ def test_published_figures_are_reached(data_folder: Path, name: str, learned: fl
     ]
     assert errors[0] < learned
     assert max(errors[1:]) < thresholded
+
+
+def test_compiled_code_is_kept_for_these_sources_alone(tmp_path: Path) -> None:
+    """A function that is called from another module may change: what was compiled with the old one must not be taken."""
+    (tmp_path / "a.py").write_text("@compiled\ndef f(): pass\n")
+    (tmp_path / "b.py").write_text("plain = 1\n")
+    before = sources_stamp(tmp_path)
+    (tmp_path / "b.py").write_text("plain = 2\n")
+    assert sources_stamp(tmp_path) == before
+    (tmp_path / "a.py").write_text("@compiled\ndef f(): return 1\n")
+    assert sources_stamp(tmp_path) != before
+    assert CACHE.name == f"numba-{sources_stamp(PACKAGE)}"
+    assert any(CACHE.rglob("*.nbi"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -161,6 +162,10 @@ def degloss(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_the_command_makes_a_capture_of_bare_pictures(tmp_path: Path) -> None:
     lights = lights_under(40, 11)
     folder = folder_without_lights(tmp_path / "hills", lights)
+    said = json.loads(degloss("recon", "lights", folder, "--json").stdout)
+    assert angles(np.array(said["lights"]), lights).max() < 1
+    assert said["written"] == []
+    assert not (folder / "lights.txt").exists()
     written = degloss("recon", "lights", folder, "--write")
     assert written.returncode == 0, written.stderr
     assert "equally strong" in written.stdout

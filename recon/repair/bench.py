@@ -1,4 +1,4 @@
-"""Repairs and thresholds side by side: `python -m recon.repair_bench [--draws N] [--json]`.
+"""Repairs and thresholds side by side: `python -m recon.repair.bench [--draws N] [--json]`.
 
 Two tables, over the paper's cylinder at five levels of gloss (rendered here; left out without Blender) and draws of five lights of the
 DiLiGenT photographs. First, holes cut at random into pictures whose truth is known, the diffuse layers and the photographs themselves:
@@ -124,12 +124,12 @@ def normals_error(capture: Capture, layers: Layers, repaired: Repaired, settings
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Work out the figures and print them."""
-    parser = argparse.ArgumentParser(prog="python -m recon.repair_bench", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m recon.repair.bench", description=__doc__)
     parser.add_argument("--draws", type=int, default=DRAWS, help=f"draws of {LIGHTS} lights an object (default: {DRAWS})")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     given = parser.parse_args(arguments)
     if given.draws < 1:
-        print("recon.repair_bench: --draws must be at least 1", file=sys.stderr)
+        print("recon.repair.bench: --draws must be at least 1", file=sys.stderr)
         raise SystemExit(2)
     holes: dict[str, list[Any]] = {}
     thresholds: dict[str, list[Any]] = {}
