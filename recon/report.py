@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.calibration import table_for
 from recon.compare import Comparison, free_scale, mean_error, true_height
 from recon.metrics import angular_error, fitted_height, height_bytes, normal_bytes
 from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
@@ -170,7 +171,7 @@ def _maps(shape: Shape) -> Section:
             Figure(
                 "Uncertainty",
                 picture,
-                "One standard deviation of the normal, from the fit's residual.",
+                f"One standard deviation of the normal, {_known_from(shape)}.",
                 Bar(0, top, "deg", "error", ".1f", True),
             )
         )
@@ -179,11 +180,22 @@ def _maps(shape: Shape) -> Section:
         series = [Series("measured", *_profile(height, mask, factor))]
     else:
         fitted, _ = fitted_height(height, true, mask, free_scale(shape))
-        unit = "mm"
-        series = [Series("measured", *_profile(fitted, mask, 1e3)), Series("true", *_profile(true, mask, 1e3), dashed=True)]
+        unit, level = (
+            "mm",
+            float(np.nanmean(fitted[mask])),
+        )  # the truth counts from the camera, the profile from the surface's mean
+        curves = {"measured": fitted - level, "true": true - level}
+        series = [Series(name, *_profile(curve, mask, 1e3), dashed=name == "true") for name, curve in curves.items()]
     row = int(np.median(np.nonzero(shape.capture.mask)[0]))
     plot = Plot(f"Height along row {row + 1}", series, "column, px", f"height, {unit}")
     return Section("Shape", "", [Row(figures, columns=3), plot])
+
+
+def _known_from(shape: Shape) -> str:
+    """What the stated uncertainty rests on."""
+    if table_for(shape.settings.gloss, shape.settings.normals) is None:
+        return "from the fit's residual"
+    return "as such pixels erred on renders"
 
 
 def _comparison(comparison: Comparison) -> Section:
