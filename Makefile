@@ -39,7 +39,7 @@ check: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,learn,train,export,cluster,views,dev]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[render,report,learn,train,export,cluster,views,release,dev]'
 	touch $@
 
 clean:
