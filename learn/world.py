@@ -37,6 +37,7 @@ OPTIONS: Mapping[str, Any] = {
     "captures": "",
     "rendered": 0.12,
     "dropped": 0.1,
+    "clean": 0.0,
 }
 """Options of `World` and their defaults; lights: None is "mixed"."""
 
@@ -87,7 +88,8 @@ class World:
     the pack's views of that split alone. reliefs: share of captures on random relief. size: of the square pictures; a share `large` of the
     batches has a quarter of the captures at twice the size. lights: "mixed", a number, or weights of 1, 2, ... lights; a batch has one
     number. world: a key of `WORLDS`. captures: path of a pack of rendered captures (`learn.rendered`), which a share `rendered` of the
-    batches is taken from. dropped: share of batches in which the network is not told the lights. batch: captures in a batch.
+    batches is taken from. dropped: share of batches in which the network is not told the lights. clean: share of batches of the world
+    "narrow", whatever `world` is: lights as stated, plain materials, as the paper's stacks have them. batch: captures in a batch.
     Raises InputError for an unknown or impossible option and a pack that does not serve.
     """
 
@@ -99,7 +101,7 @@ class World:
             raise InputError(f"batch = {batch!r} must be a whole number from 1")
         if options["world"] not in WORLDS:
             raise InputError(f"data: world = {options['world']!r} is unknown; there are {', '.join(WORLDS)}")
-        for share in ("reliefs", "large", "rendered", "dropped"):
+        for share in ("reliefs", "large", "rendered", "dropped", "clean"):
             if not 0 <= options[share] <= 1:
                 raise InputError(f"data: {share} = {options[share]:g} must be a share from 0 to 1")
         if not 16 <= options["size"] <= 1024:
@@ -109,6 +111,7 @@ class World:
         self.reliefs: float = options["reliefs"]
         self.large: float = options["large"]
         self.dropped: float = options["dropped"]
+        self.clean: float = options["clean"]
         self.kind = WORLDS[options["world"]]
         self.device = torch.device(device)
         self.captures, self.seed = batch, seed
@@ -125,15 +128,16 @@ class World:
         K = int(draws.rng.choice(self._counts, p=self._shares))
         large, rendered, told = draws.rng.random(3) < (self.large, self.rendered, 1 - self.dropped)
         size, B = (2 * self.size, max(self.captures // 4, 1)) if large else (self.size, self.captures)
+        # drawn only where it is asked for: batches of a world without clean ones stay as they are
+        kind = WORLDS["narrow"] if self.clean and draws.rng.random() < self.clean else self.kind
         with torch.no_grad():
             taken = self.renders if rendered else None
-            made = self._rendered(draws, taken, B, K, size) if taken else self._relit(draws, B, K, size)
+            made = self._rendered(draws, taken, B, K, size, kind) if taken else self._relit(draws, B, K, size, kind)
         return replace(made, told=bool(told))
 
-    def _relit(self, draws: Draws, B: int, K: int, size: int) -> CaptureBatch:
+    def _relit(self, draws: Draws, B: int, K: int, size: int, kind: Kind) -> CaptureBatch:
         """B captures of K lights, shaded here."""
-        kind = self.kind
-        views = self.views(draws, B, size)
+        views = self.views(draws, B, size, kind.detail)
         lights = draws.put(np.stack([random_lights(draws.rng, K) for _ in range(B)]))
         material = random_material(draws, B, size, kind.family)
         directions, fall_off = near_lights(draws, lights, views.height, views.mask, kind.faults)
@@ -144,22 +148,22 @@ class World:
         stated = misdirected(draws, lights, kind.faults)
         return CaptureBatch(images, stated, valid, views.mask, matte, diffuse, specular, views.normals)
 
-    def _rendered(self, draws: Draws, bank: RenderBank, B: int, K: int, size: int) -> CaptureBatch:
+    def _rendered(self, draws: Draws, bank: RenderBank, B: int, K: int, size: int, kind: Kind) -> CaptureBatch:
         """B captures of K lights, or as many as they have, of what Cycles rendered, photographed here."""
         given = bank.crops(draws, B, K, size)
-        faults = replace(self.kind.faults, bounce=0.0)  # it is in the renders
+        faults = replace(kind.faults, bounce=0.0)  # it is in the renders
         radiance = given.diffuse + given.specular
         images, valid = take_pictures(draws, radiance, given.diffuse, given.albedo, given.mask, faults)
         stated = misdirected(draws, given.lights, faults)
         return CaptureBatch(images, stated, valid, given.mask, given.matte, given.diffuse, given.specular, given.normals)
 
-    def views(self, draws: Draws, captures: int, size: int) -> Views:
-        """The geometry of a batch, of the pack and random reliefs in random proportion."""
+    def views(self, draws: Draws, captures: int, size: int, detail: float) -> Views:
+        """The geometry of a batch, of the pack and random reliefs in random proportion. detail: share of it with fine relief."""
         count = int((draws.rng.random(captures) < self.reliefs).sum()) if self.bank else captures
         parts = [random_relief(draws, count, size)] if count else []
         if self.bank and count < captures:
             parts.append(self.bank.crops(draws, captures - count, size))
-        return with_detail(draws, joined(*parts), self.kind.detail)
+        return with_detail(draws, joined(*parts), detail)
 
     def _bank(self, path: str, split: str) -> ViewBank | None:
         if not path:

@@ -28,6 +28,9 @@ EARLIER = 0.4
 KNEE = 1.0
 """Degrees: errors of a capture well above it count by their ratio, so that easy captures are brought down as far as hard ones."""
 
+HARM = 0.5
+"""Weight of what a capture comes out worse than plain least squares on its pictures as they are, by the ratio of the angles."""
+
 MEASURED = 3
 """Fewest lights whose least squares says anything of a normal; with fewer the pictures alone are judged."""
 
@@ -50,7 +53,8 @@ class Group:
         return World(data, batch, seed if split == "train" else seed + 1_000_003, device)
 
     def loss(self, model: nn.Module, batch: CaptureBatch, progress: float) -> tuple[Tensor, dict[str, Tensor]]:
-        """The logarithms of each capture's mean angle of the measured normal, with and without confidence, and the layers' errors."""
+        """The logarithms of each capture's mean angle of the measured normal, with and without confidence, what it is worse than without
+        removal, and the layers' errors."""
         told = not model.training or batch.told
         lights, solve = (batch.lights, None) if told else (None, batch.lights)
         found: GroupLayers = model(batch.images, lights, batch.valid, batch.mask, solve, shrink_of(batch.mask))
@@ -97,9 +101,15 @@ def judge(found: GroupLayers, batch: CaptureBatch) -> tuple[Tensor, dict[str, Te
     total = measured.new_zeros(())
     if batch.lights.shape[1] >= MEASURED:
         total = total + (torch.log(measured + KNEE) + PLAIN * torch.log(plain + KNEE)).mean()
+        total = total + HARM * (torch.log(measured + KNEE) - torch.log(before + KNEE)).clamp(min=0).mean()
     for name, weight in PICTURE.items():
         total = total + weight * errors[name]
-    figures = {"degrees": measured.mean(), "degrees_plain": plain.mean(), "degrees_input": before.mean()}
+    figures = {
+        "degrees": measured.mean(),
+        "degrees_plain": plain.mean(),
+        "degrees_input": before.mean(),
+        "harmed": (measured > before).float().mean(),
+    }
     return total, {
         **{key: value.detach() for key, value in figures.items()},
         **{f"log_{n}": e.detach() for n, e in errors.items()},
