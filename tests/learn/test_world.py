@@ -153,6 +153,25 @@ def test_the_wide_world_is_as_shiny_and_as_matte_as_promised() -> None:
     assert (shares > 20).float().mean() > 0.03
 
 
+def test_a_share_of_the_batches_is_clean() -> None:
+    """In the wide world stated lights are off by what the camera did; where all batches are clean they are the true ones."""
+
+    def misstated(clean: float) -> list[bool]:
+        found = []
+        for step in range(8):
+            batch = World({**SMALL, "lights": 3, "clean": clean}, 4, 5).batch(step)
+            shading = torch.einsum("bkc,bchw->bkhw", batch.lights, batch.normals).clamp(min=0)
+            matte = batch.matte.sum(2)
+            lit = (matte > 0).all(1, keepdim=True) & batch.mask[:, None]
+            ratio = torch.where(lit, matte / shading.clamp(min=1e-6), 0.0)
+            found.append(bool((ratio - ratio[:, :1]).abs().gt(1e-3 * ratio[:, :1] + 1e-4).any()))
+        return found
+
+    assert all(misstated(0.0))
+    assert not any(misstated(1.0))
+    assert 0 < sum(misstated(0.5)) < 8
+
+
 def test_pictures_turn_with_their_lights_order() -> None:
     draws = Draws(1, 2, CPU)
     views = random_relief(draws, 3, 32)
@@ -283,11 +302,12 @@ def test_the_number_of_lights_is_as_asked() -> None:
         ({"size": 8}, 2, "size = 8 must be from 16"),
         ({"world": "flat"}, 2, "world = 'flat' is unknown"),
         ({"reliefs": 1.5}, 2, "reliefs = 1.5"),
+        ({"clean": -0.1}, 2, "clean = -0.1"),
         ({"lights": 0}, 2, "lights = 0 must be"),
         ({"lights": [0.0, -1.0]}, 2, "lights ="),
         ({"lights": "few"}, 2, "lights = 'few'"),
         ({}, 0, "batch = 0"),
-        ({"views": "missing.pack"}, 2, "missing.pack: cannot be read"),
+        ({"views": "missing.pack"}, 2, "missing.pack: there is no such file"),
     ],
 )
 def test_bad_options_are_said_in_one_line(data: dict[str, Any], batch: int, message: str) -> None:
