@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
+from gen.convert.command import convert
+from gen.release.command import release
 from gen.sets.set_commands import pack, preview, screen, split, verify
 
 if TYPE_CHECKING:
@@ -339,5 +341,5 @@ def _progress(name: str, unit: str) -> Iterator[Callable[..., None] | None]:
         yield advance
 
 
-for _command in (verify, screen, split, preview, pack):
+for _command in (verify, screen, split, preview, pack, release, convert):
     app.command(_command)

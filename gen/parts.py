@@ -162,6 +162,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "report": ("jinja2",),
     "playwright": ("playwright",),
     "ray": ("ray",),
+    "release": ("pyarrow",),
 }
 PARTS: dict[str, PartOf] = {
     part.name: part
@@ -201,6 +202,7 @@ PARTS: dict[str, PartOf] = {
                 "jinja2",
             ),
         ),
+        PartOf("release", "degloss gen release, and checking one", "pip install 'pyarrow<26'", _modules("pyarrow"), False),
         PartOf("ray", "rendering a set on a cluster: --engine ray", "pip install 'ray>=2.40'", _modules("ray"), False),
         PartOf("chromium", "the report's tests in a browser", "apt-get install -y chromium", _chromium, False),
         PartOf("playwright", "the report's tests in a browser", "pip install playwright", _modules("playwright"), False),

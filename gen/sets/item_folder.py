@@ -22,13 +22,14 @@ from gen.formats.render_folder import write_files
 from gen.render import jobs_of, load_shot
 from gen.sets.plan import Item, identities
 from gen.sets.set_folder import COLUMNS, ITEM, ITEMS, QUARANTINE, QUARANTINED, RENDERED, Row, read_row, row_text
+from gen.sets.thumbnail import THUMBNAIL, frontal, thumbnail
 from gen.spec import Spec
 from gen.srgb import linear_to_srgb
 
 SAMPLES_PER_JOB = 1 << 21
 """Lights times samples of a picture in one job: all of an item's, as a rule, so that its scene is set up once; some 200 MB at most."""
 
-OURS = re.compile(r"capture\.json|frames/\d+\.exr|view\.exr|mask\.png|spec\.yaml|item\.json|\.degloss")
+OURS = re.compile(r"capture\.json|frames/\d+\.exr|view\.exr|mask\.png|preview\.png|spec\.yaml|item\.json|\.degloss")
 
 
 def item_jobs(spec: Spec, place: Path) -> list[dict[str, Any]]:
@@ -55,6 +56,8 @@ def finish_item(
     made = place / "made"
     made.mkdir()
     write_files(rendered.capture, made, rendered.coverage, spec.half, spec.crop)
+    shown = rendered.capture.images[frontal(rendered.capture.lights)]
+    (made / THUMBNAIL).write_bytes(thumbnail(shown))  # while the pixels are at hand: reading them again takes ten times as long
     # JSON is YAML too, and written a hundred times faster: for a single picture that is a tenth of all that is done here.
     (made / "spec.yaml").write_text(dumps(spec.plain(), indent=1) + "\n", encoding="utf-8")
     names = sorted([*_names(made), ITEM])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
+from gen.files import real
 from gen.sets.screening import SCREENING, screening_of
 from gen.sets.set_folder import RENDERED, SetFolder, is_set_folder
 from gen.srgb import linear_to_srgb
@@ -82,7 +83,7 @@ def _of_capture(path: Path, count: int, rng: np.random.Generator) -> Iterator[En
         tilt, azimuth = np.degrees(np.arccos(np.clip(z, -1, 1))), np.degrees(np.arctan2(y, x)) % 360
         where = f"light at {tilt:.0f}°, azimuth {azimuth:.0f}°" if tilt > 0.5 else "frontal light"
         yield Entry(
-            f"{path.resolve().name} {capture.names[k]}", ", ".join(w for w in (where, _gloss(capture)) if w), _tiles(capture, k)
+            f"{real(path).name} {capture.names[k]}", ", ".join(w for w in (where, _gloss(capture)) if w), _tiles(capture, k)
         )
 
 

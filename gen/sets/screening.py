@@ -39,7 +39,7 @@ class Verdict:
 def screen(folder: SetFolder) -> list[Verdict]:
     """One verdict a picture, in the order of the index. Raises InputError where the index is missing or damaged."""
     verdicts: list[Verdict] = []
-    for row in folder.rows():
+    for row in folder.each_row():
         if row["status"] != "rendered":
             verdicts += [Verdict(row["id"], k + 1, False, NOT_RENDERED, 0, 0) for k in range(row.get("pictures") or 1)]
             continue
@@ -73,7 +73,7 @@ def screening_of(folder: SetFolder) -> list[Verdict]:
             verdicts.append(_checked(Verdict(**json.loads(line))))
         except (ValueError, TypeError, RecursionError):
             raise InputError(f"{path}: line {number} is not a verdict; run degloss gen screen again") from None
-    wanted = [(row["id"], row["status"] == "rendered") for row in folder.rows()]
+    wanted = [(row["id"], row["status"] == "rendered") for row in folder.each_row()]
     judged = {verdict.id: verdict.reason != NOT_RENDERED for verdict in verdicts}
     if judged != dict(wanted):
         raise InputError(f"{path}: judges other items than the index holds; run degloss gen screen again")

@@ -15,14 +15,14 @@ MAX_LINES = 20
 
 
 def verify(folder: Path, /, *, sample: int | None = None, seed: int = 0, json: Json = False) -> None:
-    """Check that a set or a capture is whole: checksums, index, plan, and what its layers promise in every pixel.
+    """Check that a set, a release or a capture is whole: checksums, index, plan, and what its layers promise in every pixel.
 
     Faults are printed one a line, and the command ends with exit code 2. Checksums are checked before anything is opened.
 
     Parameters
     ----------
     folder
-        A set folder, or one capture folder of ours.
+        A set folder, a release, or one capture folder of ours.
     sample
         Read the pixels of so many items only, drawn at random; checksums are of all.
     seed
@@ -34,7 +34,7 @@ def verify(folder: Path, /, *, sample: int | None = None, seed: int = 0, json: J
     from gen.files import dumps
     from gen.sets.verify import verify as check
 
-    with _progress("checking", "items") as progress:
+    with progress_bar("checking", "") as progress:
         found = check(folder, sample, seed, progress)
     if json:
         facts = {"folder": str(folder), "items": found.items, "files": found.files, "pixels": found.pixels}
@@ -45,7 +45,8 @@ def verify(folder: Path, /, *, sample: int | None = None, seed: int = 0, json: J
         if len(found.faults) > MAX_LINES:
             print(f"... and {len(found.faults) - MAX_LINES} more")
     if found.faults:
-        raise InputError(f"{folder}: {_count(len(found.faults), 'fault')} found; render what is damaged again")
+        remedy = "get it again" if found.kind == "release" else "render what is damaged again"
+        raise InputError(f"{folder}: {_count(len(found.faults), 'fault')} found; {remedy}")
     if not json:
         print(
             f"{folder}: whole; {_count(found.items, 'item')}, {_count(found.files, 'checksum')}, pixels of {found.pixels} checked"
@@ -111,16 +112,11 @@ def split(
     json
         Print one JSON object on stdout.
     """
-    from gen.errors import InputError
     from gen.files import dumps
     from gen.sets.set_folder import SetFolder
     from gen.sets.splits import SPLITS, write_splits
 
-    try:
-        numbers = [float(word) for word in _words(fractions)]
-    except ValueError:
-        raise InputError(f"--fractions {fractions}: must be three numbers such as 0.8,0.1,0.1") from None
-    found = write_splits(SetFolder(folder), numbers, seed, _words(by))
+    found = write_splits(SetFolder(folder), fractions_of(fractions), seed, words(by))
     if json:
         print(dumps({"file": str(folder / SPLITS), **found.plain()}))
         return
@@ -155,14 +151,15 @@ def preview(
     seed
         Of that draw.
     """
+    from gen.files import real
     from gen.images import write_png
     from gen.sets.preview import contact_sheet
     from gen.sets.set_folder import is_set_folder
 
-    with _progress("drawing", "items") as progress:
+    with progress_bar("drawing", "items") as progress:
         sheet = contact_sheet(folder, count, seed, progress)
     if output is None:
-        output = folder / "preview.png" if is_set_folder(folder) else Path(f"{folder.resolve().name}-preview.png")
+        output = folder / "preview.png" if is_set_folder(folder) else Path(f"{real(folder).name}-preview.png")
     _not_its_own(folder, output)
     write_png(output, sheet)
     print(f"{output}: {sheet.shape[1]}x{sheet.shape[0]} pixels")
@@ -210,8 +207,8 @@ def pack(
     from gen.sets.packing import DEFAULT_LAYERS, pack_set
     from gen.sets.set_folder import SetFolder
 
-    names = DEFAULT_LAYERS if layers is None else _words(layers)
-    with _progress("packing", "items") as progress:
+    names = DEFAULT_LAYERS if layers is None else words(layers)
+    with progress_bar("packing", "items") as progress:
         _not_its_own(folder, output)
         done = pack_set(SetFolder(folder), output, size, names, dtype, split, kept_only, limit, progress)
     h, w = done.size
@@ -224,14 +221,26 @@ def pack(
 def _not_its_own(folder: Path, output: Path) -> None:
     """InputError where an output would take the place of a file that belongs to the set or capture itself."""
     from gen.errors import InputError
+    from gen.files import real
 
-    place, root = output.resolve(), folder.resolve()
+    place, root = real(output), real(folder)
     own = place.suffix in (".json", ".jsonl", ".yaml", ".exr", "") or place.name == "mask.png"
     if place.is_relative_to(root) and (own or len(place.relative_to(root).parts) > 1):
         raise InputError(f"{output}: may be one of the files of {folder} itself; choose another place with -o")
 
 
-def _words(text: str) -> tuple[str, ...]:
+def fractions_of(text: str) -> list[float]:
+    """The numbers of --fractions. Raises InputError where they are none."""
+    from gen.errors import InputError
+
+    try:
+        return [float(word) for word in words(text)]
+    except ValueError:
+        raise InputError(f"--fractions {text}: must be three numbers such as 0.8,0.1,0.1") from None
+
+
+def words(text: str) -> tuple[str, ...]:
+    """The words of an option that takes several, with commas between them."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
@@ -240,7 +249,7 @@ def _count(n: int, noun: str) -> str:
 
 
 @contextmanager
-def _progress(title: str, unit: str) -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int], None] | None]:
     """A progress bar on stderr, where that is a terminal; otherwise nothing."""
     import sys
 

@@ -2,7 +2,8 @@
 
     set.json          what the set is: name, seed, digests of the set spec and of the plan, number of items, units
     plan.jsonl        the plan (`gen.sets.plan`)
-    items/<id>/       a capture folder of ours (`gen.formats.render_folder`), its spec.yaml, and item.json, its row of the index
+    items/<id>/       a capture folder of ours (`gen.formats.render_folder`), its spec.yaml, preview.png (`gen.sets.thumbnail`), and
+                      item.json, its row of the index
     index.jsonl       the rows of all items in the plan's order; there as soon as every item is rendered or quarantined
     events.jsonl      what happened when (`gen.sets.events`)
 
@@ -102,12 +103,16 @@ class SetFolder:
 
     def rows(self) -> list[dict[str, Any]]:
         """The index, one row an item in the plan's order, with the keys of `COLUMNS`."""
+        return list(self.each_row())
+
+    def each_row(self) -> Iterator[dict[str, Any]]:
+        """The rows of the index one by one, for what must not grow with the set."""
         self.about()
         where = self.path / INDEX
         if not where.is_file():
             raise InputError(f"{where}: is not there yet; render the rest of the set first: degloss gen render --resume")
         must_exist(where, "the index of a set")
-        return list(_rows(where))
+        yield from _rows(where)
 
     def item_folder(self, name: str) -> Path:
         """The capture folder of an item."""
@@ -138,9 +143,9 @@ def row_text(row: Row) -> str:
 def read_row(path: Path) -> tuple[dict[str, Any], str] | None:
     """The row in a file that holds one line, and that line; None where there is no such file or it is not a row."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with must_exist(path, "a row of the index").open(encoding="utf-8") as file:
             text = file.read(MAX_ROW)
-    except (OSError, UnicodeDecodeError):
+    except (InputError, OSError, UnicodeDecodeError):
         return None
     row = _parse(text)
     return None if row is None or _fault(row) else (row, text.rstrip("\n"))

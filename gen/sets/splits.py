@@ -125,7 +125,7 @@ def divide(
             chosen[i] = name
     splits = {name: tuple(str(row["id"]) for row, split in zip(items, chosen, strict=True) if split == name) for name in NAMES}
     counts = {name: sum(kept[item] for item in ids) for name, ids in splits.items()}
-    notes = _shared(keys, columns, chosen)
+    notes = shared(keys, columns, chosen)
     total = sum(pictures)
     largest = max((sum(pictures[i] for i in group) for group in free), default=0)
     off = max((abs(counts[name] / total - share) for name, share in zip(NAMES, shares, strict=True)), default=0.0)
@@ -214,8 +214,11 @@ def _remedy(keys: tuple[str, ...], columns: Sequence[Sequence[str]]) -> str:
     return f"--by {','.join(best)}"
 
 
-def _shared(keys: tuple[str, ...], columns: Sequence[Sequence[str]], chosen: Sequence[str | None]) -> list[str]:
-    """What two splits have in common, which only the plan itself can bring about."""
+def shared(keys: Sequence[str], columns: Sequence[Sequence[str]], chosen: Sequence[str | None]) -> list[str]:
+    """What two splits have in common, which only the plan itself can bring about, one line each.
+
+    keys: names of `KEYS`. columns: their values of each item. chosen: its split.
+    """
     notes = []
     for a, first in enumerate(NAMES):
         for second in NAMES[a + 1 :]:

@@ -1,4 +1,4 @@
-"""Whether a set folder or a capture folder of ours is whole: every byte by its checksum, then every pixel by what its layers promise.
+"""Whether a set folder, a release or a capture folder is whole: every byte by its checksum, then every pixel by what its layers promise.
 
 Checksums come first, and what fails them is never parsed.
 """
@@ -31,17 +31,18 @@ Progress = Callable[[int, int], None]
 class Verified:
     """What was found. faults: one line each, none where all is well.
 
-    items: captures. files: checksums that were compared. pixels: captures whose pixels were read.
+    items: captures. files: checksums that were compared. pixels: captures whose pixels were read. kind: set, release or capture.
     """
 
     faults: tuple[str, ...]
     items: int
     files: int
     pixels: int
+    kind: str = "set"
 
 
 def verify(path: Path, sample: int | None = None, seed: int = 0, progress: Progress | None = None) -> Verified:
-    """Check a set folder, or one capture folder of ours.
+    """Check a set folder, a release, or one capture folder of ours.
 
     sample: read the pixels of so many items only, drawn by the seed; checksums are of all. A capture folder without item.json has no
     checksums. Raises InputError where `path` is neither, or where the set's head or index cannot be read at all.
@@ -54,7 +55,17 @@ def verify(path: Path, sample: int | None = None, seed: int = 0, progress: Progr
         return _verify_set(SetFolder(path), sample, seed, progress)
     if is_render(path):
         return _verify_capture(path, sample)
-    raise InputError(f"{path}: is neither a set folder (set.json) nor a capture folder of ours (capture.json)")
+    from gen.release.reading import is_release
+
+    if is_release(path):
+        from gen.parts import require
+        from gen.release.checking import verify_release
+
+        require("release")
+        return verify_release(path, sample, seed, progress)
+    raise InputError(
+        f"{path}: is neither a set folder (set.json), nor a release (provenance.json), nor a capture folder of ours (capture.json)"
+    )
 
 
 def _verify_set(folder: SetFolder, sample: int | None, seed: int, progress: Progress | None) -> Verified:
@@ -77,7 +88,7 @@ def _verify_set(folder: SetFolder, sample: int | None, seed: int, progress: Prog
         found = list(_files(place, row))
         files += len(row["files"])
         if not found and row["id"] in chosen:
-            found = list(_pixels(place, row, specs.get(row["id"])))
+            found = list(pixel_faults(place, row, specs.get(row["id"])))
             pixels += 1
         faults += [f"{at}/{fault}" for fault in found]
         if progress is not None:
@@ -96,8 +107,8 @@ def _verify_capture(path: Path, sample: int | None) -> Verified:
         faults = list(_marked(path))
     wanted = not faults and sample != 0
     if wanted:
-        faults = list(_pixels(path, row, None))
-    return Verified(tuple(faults), 1, 0 if row is None else len(row["files"]), int(wanted))
+        faults = list(pixel_faults(path, row, None))
+    return Verified(tuple(faults), 1, 0 if row is None else len(row["files"]), int(wanted), "capture")
 
 
 def _plan(folder: SetFolder, about: Mapping[str, Any], faults: list[str]) -> Plan | None:
@@ -186,8 +197,8 @@ def _marked(place: Path) -> Iterator[str]:
     yield from (f"{name[:100]}: is an extra file" for name in found if name not in {*names, MARK})
 
 
-def _pixels(place: Path, row: Row | None, item: Item | None) -> Iterator[str]:
-    """Whether a capture reads, is what its row and plan say, and keeps its promises."""
+def pixel_faults(place: Path, row: Row | None, item: Item | None) -> Iterator[str]:
+    """Whether the capture in a folder reads, is what its row and plan say, and keeps its promises; a line for each fault."""
     try:
         capture = read_capture(place)
         listed = read_json(place / "capture.json", "the index of a capture")["frames"]
