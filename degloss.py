@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
 
 from cyclopts import App, Parameter
+
+PACKAGES = ("blender_scenes", "gen", "recon", "learn")
+"""What lies beside this module, in a clone as where it is installed."""
 
 app = App(
     name="degloss",
@@ -82,8 +86,10 @@ def main() -> None:
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr] # a name may not fit the terminal's encoding
     if not os.environ.get("COLUMNS", "80").isdecimal() or int(os.environ.get("COLUMNS", "80")) < 20:
         del os.environ["COLUMNS"]
+    if stranger := _stranger():
+        sys.exit(_refuse(stranger))
     try:
-        app()
+        app(sys.argv[1:])
         sys.stdout.flush()
     except BaseException as error:
         if interrupted:  # whatever it came as: a module that is interrupted while it is imported fails in its own way
@@ -91,6 +97,21 @@ def main() -> None:
             print(f"degloss: {how or 'stopped; nothing was left half-written, run the same command again'}", file=sys.stderr)
             sys.exit(130)
         sys.exit(_verdict(error))
+
+
+def _stranger() -> str | None:
+    """What is wrong where a package of ours is missing, or another project's of the same name comes first on Python's path."""
+    for name in PACKAGES:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            return f"the package {name} is missing: install degloss again"
+        folder = Path(spec.origin).resolve().parent
+        if folder.parent != Path(__file__).resolve().parent:
+            return (
+                f"{folder}: a package of another project, called {name} like one of degloss, comes first on Python's path: "
+                "rename it, or take its place out of PYTHONPATH and start elsewhere"
+            )
+    return None
 
 
 def _importing(frame: FrameType | None) -> bool:

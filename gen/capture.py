@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gen.capture_lights import check_intensities, check_kinds, check_lights, check_positions, of_pictures
 from gen.errors import InputError
+from gen.files import printable
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -140,7 +141,8 @@ class Capture:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        where = self.source
+        where = printable(self.source)
+        put("source", where)
         images = np.asarray(self.images, dtype=np.float32)
         if images.ndim != 4 or images.shape[3] != 3 or 0 in images.shape:
             raise InputError(f"{where}: images must be (K, H, W, 3), got {images.shape}")
@@ -167,7 +169,7 @@ class Capture:
             raise InputError(f"{where}: not one finite value inside the mask")
         put("images", images)
         put("faults", faults)
-        names = tuple(self.names) or tuple(f"{k + 1:03d}" for k in range(K))
+        names = tuple(map(printable, self.names)) or tuple(f"{k + 1:03d}" for k in range(K))
         if len(names) != K:
             raise InputError(f"{where}: {len(names)} names for {K} pictures")
         put("names", names)

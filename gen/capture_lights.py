@@ -27,6 +27,10 @@ TRUE_LIGHTS, TRUE_INTENSITIES, TRUE_POSITIONS = "true_lights", "true_intensities
 """Entries of a capture's provenance where the stated lights have errors: lists, one entry a picture, shaped as in the Capture."""
 
 
+LONGEST = 1e100
+"""The largest component of a light direction."""
+
+
 def check_lights(lights: object, count: int, where: str) -> Numbers:
     """Unit light directions (K, 3) from anything like them; InputError unless they are finite, have a length, and are one a picture."""
     L = np.asarray(lights, dtype=np.float64)
@@ -38,6 +42,7 @@ def check_lights(lights: object, count: int, where: str) -> Numbers:
         raise InputError(f"{where}: {len(L)} light directions for {count} pictures; there must be one a picture")
     if not np.isfinite(L).all():
         raise InputError(f"{where}: light direction {int(np.argmin(np.isfinite(L).all(axis=1))) + 1} is not finite")
+    check_not_endless(L, where)
     length = np.linalg.norm(L, axis=1)
     if (length < 1e-9).any():
         raise InputError(f"{where}: light direction {int(np.argmin(length)) + 1} has no length")
@@ -45,6 +50,15 @@ def check_lights(lights: object, count: int, where: str) -> Numbers:
     length[np.abs(length - 1) < 1e-12] = 1.0
     unit: Numbers = L / length[:, None]
     return unit
+
+
+def check_not_endless(directions: Numbers, where: str) -> None:
+    """InputError where a direction is so long that its square is beyond all numbers."""
+    endless = (np.abs(directions) > LONGEST).any(axis=1)
+    if endless.any():
+        raise InputError(
+            f"{where}: light direction {int(np.argmax(endless)) + 1} is longer than {LONGEST:g}; any shorter one points alike"
+        )
 
 
 def check_intensities(given: object, count: int, where: str) -> Numbers:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
-from gen.files import MAX_PIXELS, library_silenced, must_exist, writing
+from gen.files import MAX_PIXELS, library_silenced, memory, must_exist, writing
 
 HALF_MAX = 65504.0
 """The largest finite half-precision number."""
 
+
+MOST_PACKED = 2000
+FREE = 1 << 25
+"""A file of some bytes may claim `FREE` bytes of samples and `MOST_PACKED` for each of its own: nothing but zeros gets near it (ZIP ends at
+1030, ZSTD at 1930 to one); only the wavelets of HTJ2K would pack an empty picture smaller."""
 
 OUTSIDE = "outside"
 """The header attribute with what each channel holds outside the data window, as JSON."""
@@ -104,18 +109,12 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
     """
     import OpenEXR
 
-    must_exist(path, "an EXR picture")
-    data = path.read_bytes()
-    if data[:4] != b"\x76\x2f\x31\x01":
-        raise InputError(f"{path}: is not an OpenEXR file")
+    data = _bytes(path)
     OpenEXR.setMaxImageSize(65535, 65535)
     channels: dict[str, NDArray[Any]] = {}
     try:
         with library_silenced(), OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True) as file:
-            for part in file.parts:
-                (x0, y0), (x1, y1) = part.header["dataWindow"]
-                if (int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) > MAX_PIXELS:
-                    raise InputError(f"{path}: is larger than {MAX_PIXELS // 1_000_000} megapixels")
+            _check_headers([part.header for part in file.parts], len(data), path)
         with library_silenced(), OpenEXR.File(io.BytesIO(data), separate_channels=True) as file:
             for part in file.parts:
                 for name, channel in part.channels.items():
@@ -132,6 +131,39 @@ def read_exr(path: Path) -> dict[str, NDArray[Any]]:
     if len({array.shape for array in channels.values()}) != 1:
         raise InputError(f"{path}: its parts have different sizes")
     return channels
+
+
+def _bytes(path: Path) -> bytes:
+    must_exist(path, "an EXR picture")
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(4)
+            if start != b"\x76\x2f\x31\x01":
+                raise InputError(f"{path}: is not an OpenEXR file")
+            if path.stat().st_size > memory() // 4:
+                raise InputError(f"{path}: is larger than this machine's memory can hold beside what is made of it")
+            return start + stream.read()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _check_headers(headers: Sequence[Mapping[str, Any]], size: int, path: Path) -> None:
+    """InputError where the parts of a file of `size` bytes claim more than is read, or than so few bytes can hold of a picture."""
+    import OpenEXR
+
+    total = 0
+    for header in headers:
+        if header["type"] not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
+            raise InputError(f"{path}: holds deep data (many samples a pixel), which are not read; flatten it")
+        (x0, y0), (x1, y1) = header["dataWindow"]
+        pixels = (int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1)
+        if pixels > MAX_PIXELS:
+            raise InputError(f"{path}: is larger than {MAX_PIXELS // 1_000_000} megapixels")
+        total += 4 * pixels * len(header["channels"])
+    if total > memory() // 2:
+        raise InputError(f"{path}: needs {total / 1e9:.0f} GB of memory; store fewer channels or a smaller picture")
+    if total > FREE + MOST_PACKED * size:
+        raise InputError(f"{path}: claims {total / 1e6:.0f} MB in a file of {size / 1e6:.3g} MB, which no picture packs into")
 
 
 def stack(channels: Mapping[str, NDArray[Any]], name: str, letters: str) -> NDArray[np.float32] | None:

@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -22,6 +23,11 @@ from gen.errors import InputError
 
 MAX_PIXELS = 200_000_000
 """The largest picture that any reader opens (H * W)."""
+
+
+def memory() -> int:
+    """Bytes of memory of this machine."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 @contextmanager
@@ -52,7 +58,7 @@ def writing_folder(path: Path, kind: str) -> Iterator[Path]:
     the same kind, is replaced; anything else is refused. Raises InputError where the place cannot be written or holds something else.
     """
     path = Path(os.path.abspath(path))
-    if (path.exists() or path.is_symlink()) and not replaceable(path, kind):
+    if os.path.lexists(path) and not replaceable(path, kind):  # unlike Path.exists, which raises for a name too long to be one
         raise InputError(
             f"{path}: is there already and is not an earlier {kind} of ours, or holds other files too; choose another place with -o"
         )
@@ -132,9 +138,14 @@ def _alive(process: int) -> bool:
     return True
 
 
+def real(path: Path) -> Path:
+    """`path`, absolute, without links and dots. A circle of links stays as it is; `Path.resolve` would raise RuntimeError."""
+    return Path(os.path.realpath(path))
+
+
 def keep_apart(source: Path, output: Path) -> None:
     """InputError where an output folder is, or holds, what is read: nothing may overwrite its own input."""
-    place, read = output.resolve(), source.resolve()
+    place, read = real(output), real(source)
     folder = read if read.is_dir() else read.parent
     if place == folder or place in folder.parents:
         raise InputError(f"{output}: is or holds the capture {source}; choose another place with -o")
@@ -147,7 +158,7 @@ def inside(folder: Path, name: str) -> Path:
         raise InputError(f"{folder}: the file name {name!r} leads out of the folder")
     path = folder / parts
     try:
-        inside = path.resolve().is_relative_to(folder.resolve())
+        inside = real(path).is_relative_to(real(folder))
     except (OSError, UnicodeError) as error:
         raise InputError(f"{folder}: the file name {name!r} cannot be used here ({error})") from error
     if not inside:
@@ -156,10 +167,20 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def must_exist(path: Path, what: str) -> Path:
-    """`path`, which is a readable, non-empty file; InputError otherwise. what: its role, for the message."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file ({what})")
-    if path.stat().st_size == 0:
+    """`path`, which is a non-empty file; InputError otherwise. what: its role, for the message.
+
+    Folders, pipes and devices are no files: reading a pipe would wait for ever, and a device has no end.
+    """
+    try:
+        if not path.is_file():
+            if not path.exists():
+                raise InputError(f"{path}: there is no such file ({what})")
+            kind = "a folder" if path.is_dir() else "a pipe or a device"
+            raise InputError(f"{path}: is {kind}, not a file ({what})")
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}; {what})") from error
+    if size == 0:
         raise InputError(f"{path}: is empty ({what})")
     return path
 
@@ -183,6 +204,16 @@ def read_lines(path: Path, what: str, limit: int = 10_000_000) -> list[tuple[int
     return [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
+def printable(text: str) -> str:
+    """Text that any file and any terminal takes. The name of a file need not be text: bytes that are none are spelt out, as \\udce9."""
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def is_count(word: str) -> bool:
+    """Whether a word is the number of something: decimal digits, not so many that Python refuses to read them."""
+    return word.isdecimal() and len(word) < 20
+
+
 def read_numbers(
     path: Path, what: str, columns: int | tuple[int, ...] | None, limit: int = 10_000_000
 ) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -197,7 +228,7 @@ def read_numbers(
     lines = [(i, words) for i, words in lines if words]
     if not lines:
         raise InputError(f"{path}: holds no numbers ({what})")
-    if len(lines) > 1 and lines[0][1][0].isdecimal() and len(lines[0][1]) == 1 < len(lines[1][1]):
+    if len(lines) > 1 and is_count(lines[0][1][0]) and len(lines[0][1]) == 1 < len(lines[1][1]):
         said, lines = int(lines[0][1][0]), lines[1:]
         if said != len(lines):
             raise InputError(f"{path}: its first line says {said}, but {len(lines)} rows follow ({what})")
@@ -291,19 +322,34 @@ def dumps(value: object, indent: int | None = None) -> str:
 
 
 def read_json(path: Path, what: str) -> Any:
-    """The JSON of a file of at most 50 MB. Raises InputError where it is missing or not JSON."""
+    """The JSON of a file of at most 50 MB. Raises InputError where it is missing, not JSON, or gives a key twice."""
     must_exist(path, what)
-    if path.stat().st_size > 50_000_000:
-        raise InputError(f"{path}: is too large ({what})")
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > 50_000_000:
+            raise InputError(f"{path}: is too large ({what})")
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=no_key_twice)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}; {what})") from error
     except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: is not valid JSON ({what}): {error}") from error
 
 
+def no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """For json.loads(object_pairs_hook=...): the table of an object; ValueError where it gives a key twice."""
+    table = dict(pairs)
+    if len(table) != len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {twice!r:.80} is there twice")
+    return table
+
+
 def _plain(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {_plain(str(key)): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray):
@@ -313,7 +359,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if isinstance(value, Path):
-        return str(value)
+        return _plain(str(value))
     return value
 
 

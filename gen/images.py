@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Bools, Fault, Floats
 from gen.errors import InputError
-from gen.files import library_silenced, must_exist, writing
-from gen.picture_headers import EXR, Header, damaged, inspect
+from gen.files import library_silenced, memory, must_exist, writing
+from gen.picture_headers import EXR, START, Header, damaged, inspect, require_picture
 from gen.srgb import linear_to_srgb as linear_to_srgb
 from gen.srgb import srgb_to_linear as srgb_to_linear
 from gen.srgb import table
@@ -120,13 +121,14 @@ def read_frames(paths: Sequence[Path], encoding: str | None = None) -> Frames:
         raise InputError(
             f"{paths[0].parent}: {len(paths)} pictures of {W}x{H} need {need / 1e9:.0f} GB of memory; crop or shrink them"
         )
-    images = np.empty((len(paths), H, W, 3), np.float32)
-    faults = np.empty((len(paths), H, W), np.uint8)
+    images = large.empty((len(paths), H, W, 3), np.float32)
+    faults = large.empty((len(paths), H, W), np.uint8)
 
     def put(k: int) -> None:
         picture = read_image(paths[k], encoding) if k else first
         require_alike(picture, first, paths[k], paths[0])
         images[k], faults[k] = picture.linear, picture.faults
+        large.release(images)
 
     put(0)
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
@@ -197,14 +199,17 @@ def check_encoding(encoding: str | None) -> None:
 def _decode(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None, int, int]:
     """((H, W, 3) uint8, uint16 or float32, RGB, upright; alpha (H, W) or None; bits; EXIF orientation)."""
     must_exist(path, "a picture")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"{path}: is larger than {MAX_BYTES // 1_000_000_000} GB")
     try:
-        data = path.read_bytes()
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path}: is larger than {MAX_BYTES // 1_000_000_000} GB")
+        with path.open("rb") as stream:
+            start = stream.read(START)
+            if start.startswith(EXR):
+                return _decode_exr(path)
+            require_picture(start, path)  # before the rest of what may be anything is read
+            data = start + stream.read()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if data.startswith(EXR):
-        return _decode_exr(path)
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     header = inspect(data, path)
     if header.orientation_at is not None and header.orientation != 1:
         place, layout = header.orientation_at
@@ -262,7 +267,8 @@ def _to_rgb(decoded: NDArray[Any], channels: int) -> NDArray[Any]:
     import cv2
 
     if decoded.dtype == np.float64:
-        decoded = decoded.astype(np.float32)
+        with np.errstate(over="ignore"):  # what is beyond float32 becomes infinite, and so a missing sample
+            decoded = decoded.astype(np.float32)
     code = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[channels]
     rgb: NDArray[Any] = cv2.cvtColor(np.ascontiguousarray(decoded), code)
     return rgb
@@ -323,8 +329,3 @@ def require_alike(picture: Picture, first: Picture, path: Path, first_path: Path
             f"{path}: would be read as {picture.encoding} and {first_path.name} as {first.encoding}; "
             "say which holds for all, srgb or linear"
         )
-
-
-def memory() -> int:
-    """Bytes of memory of this machine."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

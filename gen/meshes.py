@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gen.errors import InputError
-from gen.files import must_exist, writing
+from gen.files import library_silenced, must_exist, writing
 from gen.mesh_formats import FORMATS, MAX_FACES, check_size
 from gen.mesh_normals import agreeing, smoothed
 
@@ -130,8 +130,9 @@ def read_scene(path: Path) -> tuple[Any, bytes]:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     check_size(path, data)
     try:
-        # No resolver: no other file is opened. Pictures inside the file are not decoded.
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=None, process=False, skip_materials=True)
+        with library_silenced():  # it logs whole tracebacks of what it then copes with
+            # No resolver: no other file is opened. Pictures inside the file are not decoded.
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=None, process=False, skip_materials=True)
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
     except Exception as error:  # a reader of foreign files fails in any way it likes
@@ -164,6 +165,10 @@ def merged(path: Path, scene: Any) -> tuple[Any, Any, Any]:
         turn = place[:3, :3]
         # Lazily computed normals are not the file's: only those that the reader put there.
         own = part._cache.cache.get("vertex_normals")
+        if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+            raise InputError(
+                f"{path}: its points have {vertices.shape[-1]} coordinates and its faces {faces.shape[-1]} corners, not three"
+            )
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise InputError(f"{path}: a face names a point that is not there")
         if not np.isfinite(place).all() or not np.isfinite(vertices[faces.ravel()]).all():

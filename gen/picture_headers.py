@@ -21,6 +21,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 EXR = b"\x76\x2f\x31\x01"
+START = 8
+"""Bytes that tell the kinds apart."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,14 @@ def inspect(data: bytes, path: Path) -> Header:
         return _png(data, path)
     if data.startswith(JPEG):
         return _jpeg(data, path)
-    if data.startswith(TIFF):
-        return _tiff(data, path)
-    raise InputError(f"{path}: is not a picture that can be read; PNG, TIFF, JPEG and EXR are")
+    require_picture(data[:START], path)
+    return _tiff(data, path)
+
+
+def require_picture(start: bytes, path: Path) -> None:
+    """InputError unless a file begins as a PNG, JPEG or TIFF does. start: its first `START` bytes."""
+    if not start.startswith((PNG, JPEG, *TIFF)):
+        raise InputError(f"{path}: is not a picture that can be read; PNG, TIFF, JPEG and EXR are")
 
 
 def check_size(height: int, width: int, path: Path) -> None:
@@ -151,6 +158,11 @@ def _inflate(inflate: zlib._Decompress, body: memoryview, room: int, path: Path)
 
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")
 _MAX_SCANS = 500
+_JPEG_PACKED = 512
+"""Pixels that one byte can stand for at most: a block of 64 takes a bit."""
+
+_MAX_SCANNED = 10 * MAX_PIXELS
+"""Scans of a progressive file times its pixels: cameras and editors write about ten scans, each of which costs a pass."""
 
 
 def _jpeg(data: bytes, path: Path) -> Header:
@@ -183,6 +195,12 @@ def _jpeg(data: bytes, path: Path) -> Header:
             following = _NEXT_MARKER.search(data, at)
             if following is None or size is None or scans > _MAX_SCANS:
                 raise damaged(path, "the picture's data end early" if following is None else "bad header")
+            if size[0] * size[1] > _JPEG_PACKED * len(data):
+                raise damaged(path, f"{size[1]}x{size[0]} pixels do not come out of {len(data)} bytes")
+            if scans * size[0] * size[1] > _MAX_SCANNED:
+                raise InputError(
+                    f"{path}: draws its picture {scans} times over, which takes too long; save it as a plain JPEG or PNG"
+                )
             at = following.start()
     if size is None or scans == 0:
         raise damaged(path, "there is no picture in it")
@@ -220,6 +238,10 @@ _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _SAMPLES, _PLA
     339,
 )
 _MAX_VALUES = 10_000_000
+
+_TIFF_PACKED = {1: 3, 5: 1400, 8: 1040, 32773: 64, 32946: 1040}
+"""Compressions that are read, each with the bytes that one byte can stand for at most: none (but chroma may be subsampled), LZW (a full
+table), deflate, PackBits."""
 
 
 class _Directory:
@@ -284,10 +306,13 @@ def _tiff(data: bytes, path: Path) -> Header:
         raise damaged(path, "the file ends early")
     turn, packing = tags.first(_ORIENTATION, 1), tags.first(_COMPRESSION, 1)
     bits, floats = tags.first(_BITS, 1), tags.first(_FORMAT, 1) == 3
+    size, segments = (width * bits * tags.first(_SAMPLES, 1) + 7) // 8 * height, list(zip(starts, counts, strict=True))
+    if size > _TIFF_PACKED[packing] * min(sum(counts), len(data)):
+        raise damaged(path, f"{width}x{height} pixels do not come out of {len(data)} bytes")
     if packing in (8, 32946):
-        _check_deflated(
-            data, list(zip(starts, counts, strict=True)), (width * bits * tags.first(_SAMPLES, 1) + 7) // 8 * height, path
-        )
+        _check_deflated(data, segments, size, path)
+    elif packing == 32773:
+        _check_runs(data, segments, size // (3 if tags.first(_PHOTOMETRIC, 1) == 6 else 1), path)  # chroma may be subsampled
     turned = turn if 1 <= turn <= 8 else 1
     return Header("tiff", height, width, max(bits, 8), floats, turned, tags.places.get(_ORIENTATION), packing == 5)
 
@@ -304,9 +329,22 @@ def _check_deflated(data: bytes, segments: list[tuple[int, int]], size: int, pat
         raise damaged(path, "the picture's data end early")
 
 
+def _check_runs(data: bytes, segments: list[tuple[int, int]], size: int, path: Path) -> None:
+    """InputError unless the segments unpack (PackBits) to so many bytes at least: libtiff fills up what is missing."""
+    total = 0
+    for start, count in segments:
+        at, end = start, start + count
+        while at < end:
+            lead = data[at]  # literals, a repeated byte, or nothing
+            total += lead + 1 if lead < 128 else 257 - lead if lead > 128 else 0
+            at += lead + 2 if lead < 128 else 2 if lead > 128 else 1
+    if total < size:
+        raise damaged(path, "the picture's data end early")
+
+
 def _check_samples(tags: _Directory, path: Path) -> None:
     """InputError unless the decoder reads samples of this kind as they are meant; planar and CMYK ones it reads wrong."""
-    all_bits, form = set(tags.values.get(_BITS, (1,))), tags.first(_FORMAT, 1)
+    all_bits, form = set(tags.values.get(_BITS) or (1,)), tags.first(_FORMAT, 1)
     bits, samples, photometric = max(all_bits), tags.first(_SAMPLES, 1), tags.first(_PHOTOMETRIC, 1)
     if photometric == 5:
         raise InputError(f"{path}: is a CMYK picture, made for printing; save it as RGB")
@@ -314,7 +352,7 @@ def _check_samples(tags: _Directory, path: Path) -> None:
         raise InputError(f"{path}: has samples of a kind that is not read; save 8 or 16-bit unsigned integers or 32-bit floats")
     if samples not in (1, 3, 4):
         raise InputError(f"{path}: has {samples} samples a pixel; save it as grey, RGB or RGBA")
-    if tags.first(_COMPRESSION, 1) not in (1, 5, 8, 32773, 32946):
+    if tags.first(_COMPRESSION, 1) not in _TIFF_PACKED:
         raise InputError(f"{path}: is compressed in a way that is not read; save it uncompressed, with LZW or with deflate (ZIP)")
     if tags.first(_PLANAR, 1) != 1 and samples > 1:
         raise InputError(f"{path}: stores its channels one after another (planar); save it interleaved")

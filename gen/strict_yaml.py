@@ -20,7 +20,8 @@ MAX_DEPTH = 20
 def read_yaml(path: Path, what: str) -> dict[str, Any]:
     """The mapping that a YAML 1.2 file holds. Raises InputError, naming the line, for anything else.
 
-    Anchors and aliases are refused: a few of them can stand for more data than memory holds. So are repeated keys.
+    Anchors and aliases are refused: a few of them can stand for more data than memory holds. So are tags (!!set and the like) and
+    repeated keys.
     """
     must_exist(path, what)
     if path.stat().st_size > MAX_BYTES:
@@ -29,6 +30,8 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not a text file ({what})") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}; {what})") from error
     return parse_yaml(text, str(path), what)
 
 
@@ -50,6 +53,8 @@ def parse_yaml(text: str, where: str, what: str) -> dict[str, Any]:
                 raise InputError(
                     f"{where}: line {event.start_mark.line + 1}: anchors and aliases (& and *) are not read; write it out"
                 )
+            if getattr(event, "tag", None) is not None:
+                raise InputError(f"{where}: line {event.start_mark.line + 1}: tags (!) of YAML are not read; leave it out")
         value = yaml.load(text)
     except DuplicateKeyError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else "?"
@@ -60,9 +65,10 @@ def parse_yaml(text: str, where: str, what: str) -> dict[str, Any]:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else "?"
         raise InputError(f"{where}: line {line}: is not valid YAML ({error.problem or error.context})") from None
-    except (YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (YAMLError, RecursionError, ValueError, TypeError, LookupError, AttributeError) as error:
+        # Keys that are lists, numbers and times that are cut short: the library's constructors fail in their own ways.
         raise InputError(f"{where}: is not valid YAML ({(str(error).splitlines() or [''])[0]})") from None
     if not isinstance(value, dict):
         raise InputError(f"{where}: must hold 'key: value' lines ({what})")

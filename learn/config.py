@@ -6,7 +6,6 @@ Training runs where only torch and numpy are beside it, so this reads with the s
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -225,7 +224,7 @@ def _train(table: Mapping[str, Any], name: str) -> Train:
         if type(value) is not int and (whole or type(value) is not float):
             raise InputError(f"{at} must be a {'whole number' if whole else 'number'}")
         low, high = LIMITS[key]
-        if not math.isfinite(value) or not low <= value <= high:
+        if not low <= value <= high:
             raise InputError(f"{at} must lie from {low:g} to {high:g}")
     for f in fields(Train):
         if f.default is MISSING and f.name not in table:

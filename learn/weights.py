@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gen.errors import InputError
-from gen.files import writing
+from gen.files import must_exist, writing
 from gen.parts import import_whole, require
 from learn.method import METHODS, create_method
 
@@ -145,6 +145,7 @@ def read_tensors(path: Path, what: str, limit: int) -> tuple[dict[str, Tensor], 
     """
     from safetensors import SafetensorError, safe_open
 
+    must_exist(path, what)
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from gen.capture import Capture
 from gen.errors import InputError
-from gen.files import inside, must_exist, read_lines
+from gen.files import inside, is_count, must_exist, read_lines
 from gen.formats.tables import mask_or_frame, picture_paths, read_directions, read_scale
 from gen.formats.truth import read_truth
 from gen.images import SUFFIXES, read_frames
@@ -24,7 +24,7 @@ def is_psm(path: Path) -> bool:
         lines = [line for _, line in read_lines(table, "a list of pictures")]
     except InputError:
         return False
-    return len(lines) > 1 and lines[0].isdecimal() and lines[1].lower().endswith(SUFFIXES)
+    return len(lines) > 1 and is_count(lines[0]) and lines[1].lower().endswith(SUFFIXES)
 
 
 def read_psm(path: Path, encoding: str | None = None) -> Capture:
@@ -40,7 +40,7 @@ def read_psm(path: Path, encoding: str | None = None) -> Capture:
         raise InputError(f"{path}: there is no list of pictures ({path.name}.txt) beside this folder")
     folder = table.parent
     lines = [line for _, line in read_lines(table, "a list of pictures")]
-    if not lines[0].isdecimal():
+    if not is_count(lines[0]):
         raise InputError(f"{table}: must begin with the number of pictures")
     count, names = int(lines[0]), [_found(folder, line, table) for line in lines[1:]]
     if len(names) not in (count, count + 1) or count == 0:

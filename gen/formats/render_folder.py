@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gen.capture import Capture, Floats, Scale, Truth
 from gen.errors import InputError
 from gen.exr import read_exr, stack, unstack, write_exr
-from gen.files import dumps, inside, read_json, writing_folder
+from gen.files import dumps, inside, memory, read_json, writing_folder
 from gen.images import read_mask, write_png
 
 INDEX = "capture.json"
@@ -139,6 +139,7 @@ def read_render(folder: Path, encoding: str | None = None) -> Capture:
     lights, intensities, kinds, positions, names, images, faults = [], [], [], [], [], [], []
     layers: dict[str, list[NDArray[Any]]] = {}
     size: tuple[int, ...] | None = None
+    seen: set[Path] = set()
     for k, frame in enumerate(listed):
         at = f"{where}: frames[{k}]"
         if not isinstance(frame, dict):
@@ -149,7 +150,12 @@ def read_render(folder: Path, encoding: str | None = None) -> Capture:
         positions.append(_numbers(frame, "position_mm", at) if "position_mm" in frame else [np.nan] * 3)
         names.append(_get(frame, "name", str, at))
         path = inside(folder, _get(frame, "file", str, at))
+        if path in seen:
+            raise InputError(f"{at}: names {path.name} a second time; each picture is a file of its own")
+        seen.add(path)
         channels = read_exr(path)
+        if k == 0:
+            _require_memory(len(listed), channels, where)
         found = next(iter(channels.values())).shape
         if size is None:
             size = found
@@ -218,19 +224,25 @@ def _view(folder: Path, index: Mapping[str, Any], size: tuple[int, ...]) -> dict
 def _scale(given: Mapping[str, Any], where: Path) -> Scale:
     def number(key: str) -> float | None:
         value = given.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e300):
             raise InputError(f"{where}: scale.{key} must be a number or null")
         return value
 
     camera = given.get("camera")
     try:
         K = None if camera is None else np.array(camera, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: scale.camera must be a 3x3 matrix or null") from None
     try:
         return Scale(mm_per_pixel=number("mm_per_pixel"), camera=K, distance_mm=number("distance_mm"))
     except InputError as error:
         raise InputError(f"{where}: {str(error).removeprefix(f'{where}: ')}") from None
+
+
+def _require_memory(count: int, channels: Mapping[str, NDArray[Any]], where: Path) -> None:
+    need = count * sum(channel.nbytes for channel in channels.values())
+    if need > memory():
+        raise InputError(f"{where}: its {count} pictures with their layers need {need / 1e9:.0f} GB of memory; render it smaller")
 
 
 def _check_shapes(capture: Capture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.capture import Bools, Capture, Fault, Scale
+from gen.capture_lights import check_not_endless
 from gen.errors import InputError
-from gen.files import inside, read_lines, read_numbers
+from gen.files import inside, is_count, read_lines, read_numbers
 from gen.images import SUFFIXES, Frames, read_mask
 
 Numbers = NDArray[np.float64]
@@ -49,7 +51,7 @@ def picture_paths(folder: Path, names: list[str], table: Path) -> list[Path]:
             raise InputError(f"{table}: {error}") from error
         if path in seen:
             raise InputError(f"{table}: names {name} twice; each picture has one light")
-        if not path.is_file():
+        if not os.path.isfile(path):  # unlike Path.is_file, which raises for a name too long to be one
             raise InputError(f"{path}: there is no such file ({table.name} names it)")
         seen.add(path)
         paths.append(path)
@@ -93,7 +95,7 @@ def read_named_directions(path: Path, what: str) -> tuple[list[str], Numbers]:
     """
     lines = read_lines(path, what)
     said = None
-    if len(lines) > 1 and lines[0][1].isdecimal():
+    if len(lines) > 1 and is_count(lines[0][1]):
         said, lines = int(lines[0][1]), lines[1:]
     names: list[str] = []
     rows: list[list[float]] = []
@@ -127,7 +129,8 @@ def check_count(path: Path, found: int, wanted: int | None, what: str) -> None:
 
 
 def check_lengths(path: Path, directions: Numbers) -> None:
-    """InputError where a direction is so short that it points nowhere."""
+    """InputError where a direction is so short that it points nowhere, or so long that nothing can be worked out with it."""
+    check_not_endless(directions, str(path))
     length = np.linalg.norm(directions, axis=1)
     if (length < SHORTEST).any():
         raise InputError(f"{path}: light direction {int(np.argmin(length)) + 1} has no length")

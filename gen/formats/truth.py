@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import math
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import IO, Any
 
@@ -30,6 +34,18 @@ NORMALS = (
 
 DEPTHS = ("depth_gt.npz", "depth_gt.npy")
 
+MAX_HEADER = 65_536
+"""Bytes before the numbers of a .npy file, at most."""
+
+LONGEST = 1e3
+FARTHEST_MM = 1e9
+"""A normal with a component that long, or a depth that large, is none."""
+
+COMPRESSED = 15
+"""The kind of a MATLAB element that is packed."""
+
+MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
+
 
 def read_truth(folder: Path, mask: Bools) -> Truth:
     """The true normals and depth of a photographed object, as far as they lie in `folder`.
@@ -47,6 +63,7 @@ def _normals(folder: Path, mask: Bools) -> Floats | None:
     if path is None:
         return None
     shape = (*mask.shape, 3)
+    given: NDArray[Any]
     if path.suffix == ".mat":
         given = _mat(path, shape)
     elif path.suffix in (".npy", ".npz"):
@@ -61,7 +78,9 @@ def _normals(folder: Path, mask: Bools) -> Floats | None:
         if raw.dtype.kind == "f" or raw.shape != shape:
             raise InputError(f"{path}: must be an 8 or 16-bit picture of {mask.shape[1]}x{mask.shape[0]} pixels (true normals)")
         given = 2.0 * raw / np.iinfo(raw.dtype).max - 1
-    n = np.where(mask[..., None] & np.isfinite(given).all(axis=2, keepdims=True), given, 0).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # NaN is no normal either
+        near = (np.abs(given) < LONGEST).all(axis=2, keepdims=True)
+    n = np.where(mask[..., None] & near, given, 0).astype(np.float64)
     length = np.linalg.norm(n, axis=2)
     known = mask & (length > 0.1)
     if not known.any() or not 0.9 < np.median(length[known]) < 1.1:
@@ -74,7 +93,7 @@ def _depth(folder: Path, mask: Bools) -> Floats | None:
     if path is None:
         return None
     millimetres = _array(path, ("depth", "depth_gt"), mask.shape)
-    known = mask & np.isfinite(millimetres) & (millimetres > 0)
+    known = mask & (millimetres > 0) & (millimetres < FARTHEST_MM)
     if not known.any():
         raise InputError(f"{path}: holds no positive depth inside the mask")
     return np.where(known, millimetres / 1000, np.nan).astype(np.float32)
@@ -86,13 +105,16 @@ def _array(path: Path, keys: tuple[str, ...], shape: tuple[int, ...]) -> NDArray
     try:
         if path.suffix == ".npy":
             with path.open("rb") as stream:
-                return _plain_array(stream, shape, path)
+                return _plain_array(io.BytesIO(stream.read(math.prod(shape) * 16 + MAX_HEADER)), shape, path)
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             name = next((f"{key}.npy" for key in keys if f"{key}.npy" in names), None)
             if name is None:
                 raise InputError(f"{path}: has no array named {' or '.join(keys)}, but {', '.join(names[:8])}")
-            with archive.open(name) as member:
+            about = archive.getinfo(name)
+            if about.file_size > math.prod(shape) * 16 + MAX_HEADER or about.compress_type not in (0, zipfile.ZIP_DEFLATED):
+                raise InputError(f"{path}: array {name} is larger than the pictures ask for, or packed in a way that is not read")
+            with archive.open(about) as member:
                 return _plain_array(member, shape, path)
     except InputError:
         raise
@@ -115,15 +137,44 @@ def _plain_array(stream: IO[bytes], shape: tuple[int, ...], path: Path) -> NDArr
     return np.frombuffer(data, dtype).reshape(shape, order="F" if column_major else "C")
 
 
+def _small_mat(path: Path, room: int) -> bytes:
+    """The bytes of a MATLAB file whose variables, unpacked, are no larger than `room`. Raises InputError where they are, zlib.error
+    or struct.error where it is damaged.
+
+    Source: MAT-File Format (The MathWorks), level 5: a header of 128 bytes, then elements, each with its kind and its length.
+    """
+    large = InputError(f"{path}: holds far more than true normals; save Normal_gt alone")
+    if path.stat().st_size > room:
+        raise large
+    data = path.read_bytes()
+    order, at = ("<" if data[126:128] == b"IM" else ">"), 128
+    while at + 8 <= len(data) and data[126:128] in (b"IM", b"MI"):
+        kind, length = struct.unpack_from(f"{order}II", data, at)
+        at += 8
+        if kind == COMPRESSED:
+            inflate, rest = zlib.decompressobj(), data[at : at + length]
+            while rest and not inflate.eof:
+                room -= len(inflate.decompress(rest, 1 << 20))
+                rest = inflate.unconsumed_tail
+                if room < 0:
+                    raise large
+        at += length
+    return data
+
+
 def _mat(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
     from scipy.io import loadmat, whosmat
 
     must_exist(path, "true normals")
     try:
-        found = {name: size for name, size, _ in whosmat(str(path))}
-        if found.get("Normal_gt") != shape:
-            raise InputError(f"{path}: must hold Normal_gt of shape {shape}, holds {found or 'nothing'}")
-        given = np.asarray(loadmat(str(path), variable_names=["Normal_gt"])["Normal_gt"])
+        data = _small_mat(path, 64 * math.prod(shape) + (1 << 25))
+        found = {name: (size, kind) for name, size, kind in whosmat(io.BytesIO(data))}  # type: ignore[arg-type] # streams too
+        size, kind = found.get("Normal_gt", ((), ""))
+        if size != shape or kind not in MATLAB_NUMBERS:
+            held = ", ".join(f"{name} {size} {kind}" for name, (size, kind) in [*found.items()][:8])
+            raise InputError(f"{path}: must hold Normal_gt, numbers of shape {shape}, holds {held or 'nothing'}")
+        loaded = loadmat(io.BytesIO(data), variable_names=["Normal_gt"])  # type: ignore[arg-type] # streams too
+        given = np.asarray(loaded["Normal_gt"])
     except InputError:
         raise
     except NotImplementedError as error:

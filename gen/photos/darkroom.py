@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Bools, Floats, Scale, grey
 from gen.errors import InputError
+from gen.files import memory
 from gen.formats.tables import mask_or_frame
 from gen.images import Frames as Stack
-from gen.images import Picture, memory, read_mask, require_alike
+from gen.images import Picture, read_mask, require_alike
 from gen.photos.brackets import exposure_slope, merge, shift_between
 from gen.photos.develop import Colour, Development, Frames, flat_field
 from gen.photos.listing import Taken, existing, named_files, photographs_of
@@ -105,8 +107,8 @@ def develop_stack(
                 first = picture
                 height, width = picture.clipped.shape
                 _require_memory(groups, height, width)
-                images = np.empty((len(groups), height, width, 3), np.float32)
-                faults = np.empty((len(groups), height, width), np.uint8)
+                images = large.empty((len(groups), height, width, 3), np.float32)
+                faults = large.empty((len(groups), height, width), np.uint8)
             require_alike(picture, first, taken.path, groups[0][0].path)
             value, flag = development.without_dark(picture, taken.exposure, taken.path)
             values.append(value)
@@ -122,6 +124,7 @@ def develop_stack(
             slopes += [] if slope is None else [slope]
             shifts.append(_largest_shift(bracket, t))
         images[k], faults[k] = development.finish(radiance, flag, group[0].path)
+        large.release(images)
     assert first is not None
     stack = Stack(images, faults, first.encoding, first.said or colour.gamma != 1, first.bits)
     record: dict[str, Any] = {"encoding": stack.reading, "bits": stack.bits}

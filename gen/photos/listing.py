@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from gen.errors import InputError
-from gen.files import inside
+from gen.files import inside, real
 from gen.formats.plain import NOT_PICTURES
 from gen.formats.tables import natural
 from gen.images import SUFFIXES
@@ -74,7 +74,7 @@ def named_files(folder: Path, spec: PhotoSpec) -> frozenset[Path]:
 def _resolved(folder: Path, names: Iterable[str]) -> Iterable[Path]:
     for name in names:
         try:
-            yield inside(folder, name).resolve()
+            yield real(inside(folder, name))
         except InputError:
             continue
 
@@ -94,7 +94,7 @@ def _matching(folder: Path, pattern: Pattern, others: frozenset[Path], key: str)
     for path in candidates:
         if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or not path.is_file():
             continue
-        if path.stem.casefold() in NOT_PICTURES or path.resolve() in others:
+        if path.stem.casefold() in NOT_PICTURES or real(path) in others:
             continue
         paths.append(existing(folder, path.relative_to(folder).as_posix(), key))
         if len(paths) > MOST * 20:

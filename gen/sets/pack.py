@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.errors import InputError
+from gen.files import must_exist, no_key_twice
 
 FORMAT = "degloss pack"
 VERSION = "1"
@@ -142,6 +143,7 @@ def header_bytes(tensors: Mapping[str, tuple[str, tuple[int, ...]]], metadata: M
 
 def _open(path: Path) -> tuple[dict[str, Any], NDArray[np.uint8]]:
     """The header, and the bytes after it as a read-only map."""
+    must_exist(path, "a pack")
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:
@@ -152,7 +154,7 @@ def _open(path: Path) -> tuple[dict[str, Any], NDArray[np.uint8]]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}; a pack)") from error
     try:
-        header = json.loads(text.decode("utf-8"), object_pairs_hook=_no_key_twice)
+        header = json.loads(text.decode("utf-8"), object_pairs_hook=no_key_twice)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its header is not valid JSON ({error})") from error
     if not isinstance(header, dict):
@@ -225,6 +227,8 @@ def _check_shapes(arrays: Mapping[str, NDArray[Any]], items: list[dict[str, Any]
             raise InputError(f"{path}: array {name[:60]!r} is {array.shape}, the others ask for {wanted}")
     at = 0
     for i, facts in enumerate(items):
+        if not isinstance(facts.get("split"), str | None):
+            raise InputError(f"{path}: the facts of item {i} name a split that is no text; pack it again")
         frames = facts.get("frames")
         if not _whole(frames) or len(frames) != 2 or frames[0] != at or not at < frames[1] <= len(item):
             raise InputError(f"{path}: the facts of item {i} name no range of frames that follows {at} within {len(item)}")
@@ -238,10 +242,3 @@ def _check_shapes(arrays: Mapping[str, NDArray[Any]], items: list[dict[str, Any]
 def _whole(value: Any) -> TypeGuard[list[int]]:
     """Whether it is a list of whole numbers from 0."""
     return isinstance(value, list) and all(type(n) is int and 0 <= n < 1 << 62 for n in value)
-
-
-def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    table = dict(pairs)
-    if len(table) != len(pairs):
-        raise ValueError("a name comes twice")
-    return table

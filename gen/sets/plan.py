@@ -144,7 +144,7 @@ def read_plan(path: str | Path) -> Plan:
 def is_plan(path: str | Path) -> bool:
     """Whether a file starts as a plan does. Never raises."""
     try:
-        with Path(path).open(encoding="utf-8") as file:
+        with must_exist(Path(path), "a plan").open(encoding="utf-8") as file:
             _header(Path(path), file.readline(MAX_LINE))
     except (OSError, ValueError):
         return False

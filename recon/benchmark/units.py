@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
+from gen.files import real
 from gen.sets.set_folder import RENDERED, SetFolder, is_set_folder
 from gen.sets.set_spec import evenly
 from recon.benchmark.spec import Benchmark, Source
@@ -55,7 +56,7 @@ def places(sources: Iterable[Source], folder: Path, rendered: Path) -> list[tupl
         else:
             here = list(_under(_render_set(str(source.set), source.limit, rendered)))
         for i in evenly(len(here), source.limit):
-            found.setdefault(here[i][2].resolve(), here[i])
+            found.setdefault(real(here[i][2]), here[i])
     names = [name for name, _, _ in found.values()]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -101,7 +102,7 @@ def _under(path: Path) -> Iterator[tuple[str, str, Path]]:
             for entry in inside:
                 yield entry.name, entry.name, entry
             return
-    yield path.stem if path.is_file() else path.resolve().name, path.resolve().name, path
+    yield path.stem if path.is_file() else real(path).name, real(path).name, path
 
 
 def _render_one(preset: str, rendered: Path) -> tuple[str, str, Path]:

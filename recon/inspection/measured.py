@@ -69,7 +69,7 @@ def of_shape(shape: Shape) -> Measured:
     return measured_from(height.points, normals.normal, normals.uncertainty, height.unit, shape.capture.source)
 
 
-def read_measured(path: Path, unit: str | None = None, uncertainty: float | None = None) -> Measured:
+def read_measured(path: str | Path, unit: str | None = None, uncertainty: float | None = None) -> Measured:
     """The measurement in a folder of `degloss recon run`, or a mesh file (GLB, STL, OBJ, PLY) in the camera's frame.
 
     unit: of a mesh's numbers (see `recon.inspection.nominal`). uncertainty: of the normals, one standard deviation in degrees, in place of
@@ -77,6 +77,7 @@ def read_measured(path: Path, unit: str | None = None, uncertainty: float | None
     """
     if uncertainty is not None and not 0 < uncertainty <= 45:
         raise InputError(f"--uncertainty {uncertainty:g}: must be above 0 and at most 45 degrees")
+    path = Path(path)
     measured = _folder(path) if path.is_dir() else _mesh(read_surface(path, unit), path)
     if uncertainty is None:
         return measured

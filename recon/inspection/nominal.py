@@ -47,7 +47,7 @@ class Surface:
         return (self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2
 
 
-def read_nominal(path: Path, unit: str | None = None) -> Surface:
+def read_nominal(path: str | Path, unit: str | None = None) -> Surface:
     """The nominal mesh in millimetres, in the axes of the file.
 
     path: a GLB, STL, OBJ or PLY file. unit: of its numbers, a key of `UNITS`; None: what the file says, else metres for GLB (as its
@@ -59,10 +59,11 @@ def read_nominal(path: Path, unit: str | None = None) -> Surface:
     return surface
 
 
-def read_surface(path: Path, unit: str | None = None) -> Surface:
+def read_surface(path: str | Path, unit: str | None = None) -> Surface:
     """As `read_nominal`, but a file in pixels ("px", as `recon.mesh.write_mesh` says where no scale is known) stays in pixels."""
     if unit is not None and unit not in (*UNITS, "px"):
         raise InputError(f"{unit}: unknown unit of a mesh; there are {', '.join(UNITS)}")
+    path = Path(path)
     vertices, faces, said = _read(path)
     default = "m" if path.suffix.lower() == ".glb" else "mm"
     chosen, why = (unit, "as given") if unit else (said, "as the file says") if said else (default, "the default of the format")

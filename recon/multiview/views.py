@@ -202,6 +202,8 @@ def _read_cameras(folder: Path) -> tuple[list[str], list[Doubles]]:
     views = said.get("views")
     if not isinstance(views, list) or not all(isinstance(view, dict) and isinstance(view.get("capture"), str) for view in views):
         raise InputError(f"{where}: views must be a list of objects with capture and object_to_camera")
+    if len(views) > MAX_VIEWS:
+        raise InputError(f"{where}: lists {len(views)} views, at most {MAX_VIEWS} are read")
     names = [view["capture"] for view in views]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -210,7 +212,7 @@ def _read_cameras(folder: Path) -> tuple[list[str], list[Doubles]]:
     for name, view in zip(names, views, strict=True):
         try:
             pose = np.array(view.get("object_to_camera"), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pose = np.empty(0)
         if pose.shape != (4, 4):
             raise InputError(f"{where}: {name}: object_to_camera must be a 4x4 matrix of numbers")

@@ -33,7 +33,8 @@ def sources_stamp(folder: Path) -> str:
 
 CACHE = Path(numba.config.CACHE_DIR or Path(__file__).parent / "__pycache__") / f"numba-{sources_stamp(PACKAGE)}"  # type: ignore[attr-defined]
 """Where compiled code is kept. By itself numba looks at a function's own module alone, and would go on with old code where a function that
-is called from another module has changed. Under NUMBA_CACHE_DIR where that is set; where it cannot be written, numba finds a place."""
+is called from another module has changed. Under NUMBA_CACHE_DIR where that is set; where it cannot be written, numba keeps it in the
+user's cache folder."""
 
 numba.config.CACHE_DIR = str(CACHE)  # type: ignore[attr-defined]
 
@@ -47,10 +48,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """The function, compiled when it is first called."""
-    compile_when_called: Any = numba.njit(cache=True, nogil=True, fastmath=RELAXED, error_model="numpy")
-    result: F = compile_when_called(function)
-    return result
+    """The function, compiled when it is first called. Where no folder can be written (see `CACHE`) it is compiled anew in each process."""
+
+    def compiling(kept: bool) -> F:
+        compile_when_called: Any = numba.njit(cache=kept, nogil=True, fastmath=RELAXED, error_model="numpy")
+        result: F = compile_when_called(function)
+        return result
+
+    try:
+        return compiling(kept=True)
+    except RuntimeError:
+        return compiling(kept=False)
 
 
 def in_parts(loop: Callable[..., None], per_pixel: tuple[NDArray[Any], ...], *rest: object, part: int = PART) -> None:

@@ -185,7 +185,7 @@ def test_read_lines_keeps_the_numbers_of_lines(tmp_path: Path) -> None:
 
 def test_must_exist(tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
-    for name, why in (("absent", "no such file"), ("empty", "is empty"), (".", "no such file")):
+    for name, why in (("absent", "no such file"), ("empty", "is empty"), (".", "is a folder")):
         with pytest.raises(InputError, match=why):
             must_exist(tmp_path / name, "a thing")
 

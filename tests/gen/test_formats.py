@@ -375,7 +375,7 @@ def bad_truth(tmp_path: Path, name: str) -> None:
         ("huge.npy", "shape"),
         ("text.mat", "damaged"),
         ("size.mat", "must hold Normal_gt"),
-        ("cells.mat", "not an array of real numbers"),
+        ("cells.mat", "must hold Normal_gt"),
         ("not unit", "does not hold unit normals"),
         ("rows", "62 normals for 63 pixels"),
         ("picture size", "must be an 8 or 16-bit picture of 9x7"),

@@ -233,7 +233,7 @@ def test_two_materials_or_a_missing_layer_are_refused_for_lime(tmp_path: Path) -
         ({"crop": True}, "train", "must be a int"),
         ({"flip": 1}, "train", "must be a bool"),
         ({"pack": ""}, "train", "pack is missing"),
-        ({"pack": "/nowhere.pack"}, "train", "cannot be read"),
+        ({"pack": "/nowhere.pack"}, "train", "there is no such file"),
         ({"train_split": "learning"}, "train", "no item of train_split = 'learning'; the pack's splits are train"),
         ({"validation_share": 1.0}, "train", "less than 1"),
         ({"validation_share": 0.0}, "validation", "no item of validation_split"),

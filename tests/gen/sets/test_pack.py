@@ -264,7 +264,7 @@ def test_a_header_that_lies_is_one_line(packed: bytes, tmp_path: Path, name: str
 
 
 FILES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "empty": (lambda d: b"", "truncated or not a safetensors file"),
+    "empty": (lambda d: b"", "is empty"),
     "short": (lambda d: d[:5], "truncated or not a safetensors file"),
     "header cut": (lambda d: d[:40], "truncated or not a safetensors file"),
     "body cut": (lambda d: d[:-1], "truncated or damaged"),
@@ -275,7 +275,7 @@ FILES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "not text": (lambda d: put_together(b"\xff\xfe{}", b""), "not valid JSON"),
     "deep": (lambda d: put_together(b"[" * 200_000, b""), "not valid JSON"),
     "a list": (lambda d: put_together(b"[1, 2]", b""), "not a table of arrays"),
-    "twice": (lambda d: put_together(b'{"a": 1, "a": 2}', b""), "a name comes twice"),
+    "twice": (lambda d: put_together(b'{"a": 1, "a": 2}', b""), "is there twice"),
 }  # fmt: skip
 
 
@@ -285,7 +285,7 @@ def test_a_file_that_is_no_pack_is_one_line(packed: bytes, tmp_path: Path, name:
     with pytest.raises(InputError, match=FILES[name][1]) as caught:
         read_pack(tmp_path / "p")
     assert len(str(caught.value)) < 400
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         read_pack(tmp_path / "nothing")
 
 
