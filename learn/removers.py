@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gen import large
 from gen.capture import LUMA, Bools, Capture, Fault, Floats
 from gen.capture_lights import WITHOUT_DIRECTION
 from gen.errors import InputError
@@ -20,6 +22,7 @@ from recon.registry import Layers, Remover
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+    from torch import Tensor
 
     from learn.weights import Loaded
 
@@ -39,8 +42,8 @@ OVERLAP = 64
 MAX_PIXELS = 1_500_000
 """Pixels that a network of single pictures is given at once; more are done in tiles."""
 
-MAX_SAMPLES = 5 * MAX_PIXELS
-"""Pixels times pictures that the group network is given at once: five pictures of `MAX_PIXELS`."""
+MAX_SAMPLES = 2_000_000
+"""Pixels times pictures that the group network is given at once: it takes a kilobyte for each."""
 
 MARGIN, GRID = 32, 32
 """Pixels around the object that the group network is shown, and the grid on which that box begins, so that strides fall as on the whole."""
@@ -102,27 +105,16 @@ def remover(method: str, weights: str | Path | None = None, device: str = "cpu")
 
 def remove_by(loaded: Loaded, capture: Capture) -> Layers:
     """The layers that loaded weights make of a capture, in its own units. Raises InputError as `separate` does."""
-    missing = (capture.faults & Fault.MISSING) != 0
+    there = capture.mask & ((capture.faults & Fault.MISSING) == 0)
     known = not any(kind in WITHOUT_DIRECTION for kind in capture.light_kinds)
-    found = separate(
-        loaded,
-        capture.reflectance(),
+    shown = Shown(
+        capture.images,
+        capture.intensities.astype(np.float32),
         capture.mask,
-        capture.valid & ~missing,
+        (capture.faults == 0),
         capture.lights if known else None,
-        capture.source,
     )
-    intensity = capture.intensities[:, None, None, :].astype(np.float32)
-    gloss = np.where((capture.mask & ~missing)[..., None], found.specular * intensity, 0)
-    gloss = np.clip(gloss, 0, np.maximum(capture.images, 0))
-    return Layers(
-        diffuse=capture.images - gloss,
-        specular=gloss,
-        matte=None if found.matte is None else found.matte * intensity,
-        confidence=None
-        if found.confidence is None
-        else np.where(capture.mask & ~missing, found.confidence, 0).astype(np.float32),
-    )
+    return _layers(loaded, shown, capture.source, there)
 
 
 def separate(
@@ -137,17 +129,59 @@ def separate(
 
     images: (K, H, W, 3) reflectance (radiance over light intensity); for the networks of single pictures any exposure will do. mask:
     (H, W); None: the whole frame (of LIME: what its segmentation finds). valid: (K, H, W); None: all. lights: (K, 3) unit, or None where
-    unknown; single pictures do without. where: for the message. diffuse + specular is the input, to float rounding. Pictures of more than
-    `MAX_PIXELS` are done in tiles. Raises InputError where a side is smaller than `SMALLEST`.
+    unknown; single pictures do without. where: for the message. diffuse + specular is the input, to float rounding. Large pictures are
+    done in tiles (`MAX_PIXELS`, `MAX_SAMPLES`). Raises InputError where a side is smaller than `SMALLEST`.
     """
+    return _layers(loaded, Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights), where)
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a network is shown. images: (K, H, W, 3) radiance. intensities: (K, 3). The rest as in `separate`."""
+
+    images: Floats
+    intensities: Floats
+    mask: Bools | None
+    valid: Bools | None
+    lights: NDArray[np.float64] | None
+
+    def reflectance(self, of: slice, rows: slice, columns: slice) -> Floats:
+        """(K, h, w, 3) radiance over light intensity of some pictures and a part of them, not negative."""
+        part = self.images[of, rows, columns] / self.intensities[of, None, None, :]
+        return np.ascontiguousarray(np.maximum(part, 0), dtype=np.float32)
+
+
+Found = tuple[tuple[slice, slice, slice], Floats, Floats | None, Floats | None]
+"""Which pictures, rows and columns; their specular layer (K, h, w, 3), matte layer and confidence (K, h, w), in reflectance."""
+
+
+def _layers(loaded: Loaded, shown: Shown, where: str, there: Bools | None = None) -> Layers:
+    """The layers in the units of the pictures. there: (K, H, W), the samples that may have gloss and confidence; None: all."""
+    images = shown.images
     H, W = images.shape[1:3]
     if min(H, W) < SMALLEST:
         raise InputError(f"{where}: is {W}x{H} pixels; the networks need at least {SMALLEST}x{SMALLEST}")
-    shown = np.ascontiguousarray(np.maximum(images, 0), dtype=np.float32)
+    intensity = shown.intensities[:, None, None, :]
+    diffuse, specular = large.empty(images.shape, np.float32), large.zeros(images.shape, np.float32)
+    matte = confidence = None
     if loaded.method == "group":
-        return _group(loaded, shown, mask, valid, lights)
-    gloss = np.stack([_single(loaded, picture, mask) for picture in shown])
-    return Layers(diffuse=images - gloss, specular=gloss)
+        matte, confidence = large.empty(images.shape, np.float32), large.zeros(images.shape[:3], np.float32)
+        for k in range(len(images)):
+            matte[k] = shown.reflectance(slice(k, k + 1), slice(None), slice(None))[0] * intensity[k]
+            large.release(images, matte)
+    for at, gloss, twin, trust in _group(loaded, shown) if loaded.method == "group" else _singles(loaded, shown):
+        gloss = gloss * intensity[at[0]]
+        if there is not None:
+            gloss = np.where(there[at][..., None], gloss, 0)
+        specular[at] = np.clip(gloss, 0, np.maximum(images[at], 0))
+        if matte is not None and confidence is not None and twin is not None and trust is not None:
+            matte[at] = twin * intensity[at[0]]
+            confidence[at] = trust if there is None else np.where(there[at], trust, 0)
+        large.release(images, specular, matte, confidence)
+    for k in range(len(images)):
+        np.subtract(images[k], specular[k], out=diffuse[k])
+        large.release(images, specular, diffuse)
+    return Layers(diffuse, specular, matte, confidence)
 
 
 def exposure_factor(picture: Floats, mask: Bools | None) -> float:
@@ -187,6 +221,14 @@ def _spans(length: int, side: int, overlap: int) -> Iterator[tuple[slice, slice]
         yield slice(max(begin - half, 0), min(end + half, length)), slice(begin, end)
 
 
+def _singles(loaded: Loaded, shown: Shown) -> Iterator[Found]:
+    """The specular layers, picture by picture."""
+    whole = slice(None)
+    for k in range(len(shown.images)):
+        of = slice(k, k + 1)
+        yield (of, whole, whole), _single(loaded, shown.reflectance(of, whole, whole)[0], shown.mask)[None], None, None
+
+
 def _single(loaded: Loaded, picture: Floats, mask: Bools | None) -> Floats:
     """The specular layer (H, W, 3) of one picture."""
     import torch
@@ -204,44 +246,49 @@ def _single(loaded: Loaded, picture: Floats, mask: Bools | None) -> Floats:
     return np.clip(np.nan_to_num(result, nan=0.0), 0, picture)
 
 
-def _group(loaded: Loaded, images: Floats, mask: Bools | None, valid: Bools | None, lights: NDArray[np.float64] | None) -> Layers:
-    """The layers of all pictures together. Only the object's box is looked at; outside it all is diffuse and matte."""
+def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
+    """The layers of all pictures together, part by part. Only the object's box is looked at; outside it all is diffuse and matte."""
     import torch
 
+    from learn.group_tiles import Given, layers_in_tiles
     from learn.models.group import shrink_of
 
     device = next(loaded.model.parameters()).device
-    K, H, W, _ = images.shape
-    inside = np.ones((H, W), bool) if mask is None else mask
-    known = np.ones((K, H, W), bool) if valid is None else valid
-    toward = None if lights is None else torch.from_numpy(np.asarray(lights, np.float32))[None].to(device)
-    gloss, matte, confidence = np.zeros_like(images), images.copy(), np.zeros((K, H, W), np.float32)
-    top, left, bottom, right = _box(inside)
-    shrink = shrink_of(torch.from_numpy(inside))
+    K, H, W, _ = shown.images.shape
+    mask = np.ones((H, W), bool) if shown.mask is None else shown.mask
+    toward = None if shown.lights is None else torch.from_numpy(np.asarray(shown.lights, np.float32))[None].to(device)
+    top, left, bottom, right = _box(mask)
+    every = slice(None)
+
+    def placed(part: tuple[slice, slice]) -> tuple[slice, slice, slice]:
+        rows, columns = (slice(s.start + at, s.stop + at) for s, at in zip(part, (top, left), strict=True))
+        return every, rows, columns
+
+    def images(part: tuple[slice, slice]) -> Tensor:
+        return torch.from_numpy(np.moveaxis(shown.reflectance(*placed(part)), 3, 1)[None].copy()).to(device)
+
+    def valid(part: tuple[slice, slice]) -> Tensor:
+        _, rows, columns = placed(part)
+        known = np.ones((K, rows.stop - rows.start, columns.stop - columns.start), bool)
+        return torch.from_numpy((known if shown.valid is None else shown.valid[:, rows, columns])[None].copy()).to(device)
+
+    inside = torch.from_numpy(mask[top:bottom, left:right].copy()).to(device)
+    given, whole = Given(images, valid, inside, toward), (slice(0, bottom - top), slice(0, right - left))
     with torch.inference_mode():
-        for seen, kept in tiles(bottom - top, right - left, MAX_SAMPLES // K):
-            rows, columns = (slice(s.start + at, s.stop + at) for s, at in zip(seen, (top, left), strict=True))
-            if not inside[rows, columns].any():
-                continue
-            part = torch.from_numpy(np.moveaxis(images[:, rows, columns], 3, 1)[None].copy()).to(device)
-            layers = loaded.model(
-                part,
-                toward,
-                torch.from_numpy(known[:, rows, columns][None].copy()).to(device),
-                torch.from_numpy(inside[rows, columns][None].copy()).to(device),
-                shrink=shrink,
-            )
-            own = tuple(slice(s.start + at, s.stop + at) for s, at in zip(kept, (top, left), strict=True))
-            within = _within(seen, kept)
-            for whole, layer in ((gloss, layers.specular), (matte, layers.matte)):
-                whole[(slice(None), *own)] = np.moveaxis(layer[0].float().cpu().numpy(), 1, 3)[(slice(None), *within)]
-            confidence[(slice(None), *own)] = layers.confidence[0].float().cpu().numpy()[(slice(None), *within)]
-    gloss = np.clip(np.nan_to_num(gloss, nan=0.0), 0, images)
-    gloss[:, ~inside] = 0
-    matte[:, ~inside] = images[:, ~inside]
-    confidence[:, ~inside] = 0
-    matte = np.maximum(np.nan_to_num(matte, nan=0.0), 0)
-    return Layers(images - gloss, gloss, matte, np.clip(np.nan_to_num(confidence, nan=0.0), 0, 1))
+        if K * inside.numel() <= MAX_SAMPLES:
+            found = loaded.model(images(whole), toward, valid(whole), inside[None], shrink=shrink_of(inside))
+            parts = iter([(whole, found)])
+        else:
+            parts = layers_in_tiles(loaded.model, given, tiles(bottom - top, right - left, MAX_SAMPLES // K), MAX_SAMPLES)
+        for part, layers in parts:
+            at = placed(part)
+            picture, outside = shown.reflectance(*at), ~mask[at[1:]]
+            gloss, matte = (np.moveaxis(layer[0].float().cpu().numpy(), 1, 3) for layer in (layers.specular, layers.matte))
+            gloss = np.clip(np.nan_to_num(gloss, nan=0.0), 0, picture)
+            matte = np.where(outside[..., None], picture, np.maximum(np.nan_to_num(matte, nan=0.0), 0))
+            trust = np.clip(np.nan_to_num(layers.confidence[0].float().cpu().numpy(), nan=0.0), 0, 1)
+            gloss[:, outside], trust[:, outside] = 0, 0
+            yield at, gloss, matte, trust
 
 
 def _remove(loaded: Loaded) -> Callable[..., Any]:

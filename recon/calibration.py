@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Capture, grey
 
 Doubles = NDArray[np.float64]
@@ -56,9 +57,12 @@ def change(capture: Capture, images: Floats) -> Floats:
     """
     if images is capture.images:
         return np.zeros(capture.mask.shape, np.float32)
-    solved = grey(capture.reflectance(images))
-    apart = grey(capture.reflectance()) - solved
-    angle: Floats = np.degrees(np.arctan2(np.linalg.norm(apart, axis=0), np.linalg.norm(solved, axis=0))).astype(np.float32)
+    angle = np.empty(capture.mask.shape, np.float32)
+    for rows in large.strips(images.shape):
+        solved = grey(capture.reflectance(images[:, rows]))
+        apart = grey(capture.reflectance(capture.images[:, rows])) - solved
+        angle[rows] = np.degrees(np.arctan2(np.linalg.norm(apart, axis=0), np.linalg.norm(solved, axis=0)))
+        large.release(images, capture.images)
     return angle
 
 

@@ -18,6 +18,9 @@ A frontal light and two at 35 degrees, one to the side and one above, have 4.4; 
 """
 
 
+CHUNK = 1 << 20
+"""Pixels whose condition is worked out at a time: a matrix each, in double precision, is 72 MB."""
+
 LIT = 0.05
 """Share of a pixel's brightest sample above which a sample counts as lit."""
 
@@ -95,7 +98,8 @@ def lowered(weights: NDArray[np.float32], wanted: NDArray[np.float32], lights: D
     result = wanted.reshape(len(lights), -1).copy()
     kept = weights.reshape(len(lights), -1)
     touched = np.flatnonzero((result != kept).any(axis=0))
-    if touched.size:
-        bad = touched[condition_numbers(lights, result[:, touched]) > MAX_CONDITION]
+    for start in range(0, touched.size, CHUNK):
+        part = touched[start : start + CHUNK]
+        bad = part[condition_numbers(lights, result[:, part]) > MAX_CONDITION]
         result[:, bad] = kept[:, bad]
     return result.reshape(weights.shape)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Bools, Capture, Fault, Floats, grey
 from gen.errors import InputError
 
@@ -77,7 +78,7 @@ def find_defects(
     if dilate < 0:
         raise InputError(f"dilate must be 0 or more pixels, got {dilate}")
     require_threshold(threshold)
-    luma = grey(capture.reflectance(specular))
+    luma = _luma(specular, capture)
     there = capture.mask & ((capture.faults & Fault.MISSING) == 0)
     clipped = ((capture.faults & Fault.CLIPPED) != 0) & there
     doubtful = there
@@ -125,9 +126,9 @@ def contradicted(pictures: Floats, capture: Capture) -> Bools:
     and specular surfaces using four-source photometry" (1982).
     """
     from recon.conditioning import LIT
-    from recon.normals.least_squares import solve
+    from recon.normals.least_squares import CHUNK, solve
 
-    y = grey(capture.reflectance(pictures))[:, capture.mask]
+    y = _luma(pictures, capture)[:, capture.mask]
     usable = ((capture.faults & int(Fault.MISSING | Fault.CLIPPED)) == 0)[:, capture.mask]
     # Beside a highlight that was left behind everything looks dark: no sample counts as brighter than most pixels' brightest.
     brightest = (y * usable).max(axis=0)
@@ -139,7 +140,10 @@ def contradicted(pictures: Floats, capture: Capture) -> Bools:
     judged = measurable & (spare > 0) & (length > 0)
     if not judged.any():
         return capture.mask
-    square = (weights * (y - (capture.lights @ b.T).astype(np.float32)) ** 2).sum(axis=0)
+    square = np.zeros(len(b), np.float32)
+    for start in range(0, len(b), CHUNK):
+        part = slice(start, start + CHUNK)
+        square[part] = (weights[:, part] * (y[:, part] - (capture.lights @ b[part].T).astype(np.float32)) ** 2).sum(axis=0)
     residual = np.zeros(len(b))
     residual[judged] = np.sqrt(square[judged] / spare[judged]) / length[judged]
     usual = USUAL * float(np.percentile(residual[judged], 25))
@@ -185,6 +189,15 @@ def guarded_otsu(values: NDArray[np.floating[Any]]) -> float:
     if variance > 0 and (between.max() > SEPARATION * variance or cut > bulk):
         return max(cut**2, FLOOR)
     return float("inf")
+
+
+def _luma(pictures: Floats, capture: Capture) -> Floats:
+    """(K, H, W) luma of pictures (K, H, W, 3) over the lights' intensities, worked out picture by picture."""
+    luma = np.empty(pictures.shape[:3], np.float32)
+    for k, picture in enumerate(pictures):
+        luma[k] = grey(picture / capture.intensities[k].astype(np.float32))
+        large.release(pictures)
+    return luma
 
 
 def _grown(found: Bools, among: Bools, there: Bools, dilate: int) -> Bools:

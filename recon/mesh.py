@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float32]
 
+MOST_POINTS = 4_000_000
+"""Pixels up to which each is a vertex of a measurement's mesh. Of more every second, third and so on is: eight million triangles are as
+much as viewers show, and the maps hold every pixel."""
+
 
 def surface_mesh(points: Floats, normal: Floats | None = None, albedo: Floats | None = None) -> trimesh.Trimesh:
     """Triangles between the pixels that have a point, turned counter-clockwise as seen from the camera.

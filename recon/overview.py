@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from gen import large
 from recon.compare import Comparison
 from recon.metrics import angular_error
-from recon.pictures import Picture, crop_to_mask, error_picture, height_range, normal_picture, relief_picture, tone, white_of
+from recon.pictures import (
+    Picture,
+    crop_box,
+    crop_to_mask,
+    error_picture,
+    height_range,
+    normal_picture,
+    relief_picture,
+    tone,
+    white_of,
+)
 
 TILE = 224
 """Side of a small picture in pixels."""
@@ -28,20 +39,25 @@ def overview(comparison: Comparison) -> Picture:
     best = next((name for name in ("repaired", "removed") if name in rows), None)
     names = [name for name in ("glossy", best, "true matte") if name is not None and name in rows]
     white = white_of(capture.images, capture.mask)
+    large.release(capture.images)
     low, high = comparison.height_range() if comparison.reference else height_range(rows[names[0]].height.height)
+    # Of a picture many times larger than it will be shown every nth pixel is as good.
+    nth = max(max(span.stop - span.start for span in crop_box(capture.mask, 8)) // (8 * TILE), 1)
+    thin = np.s_[::nth, ::nth]
+    mask = capture.mask[thin]
     lines: list[tuple[str, list[tuple[str, Picture]]]] = []
     for name in names:
         shape = rows[name]
-        step = (capture.scale.metres_per_pixel or 1.0) if shape.height.unit == "m" else 1.0
+        step = nth * ((capture.scale.metres_per_pixel or 1.0) if shape.height.unit == "m" else 1.0)
         tiles = [
-            (comparison.label(name), tone(shape.images[0], white)),
-            ("normals", normal_picture(shape.normals.normal, shape.normals.measurable)),
-            ("relief", relief_picture(shape.height.height, low, high, step)),
+            (comparison.label(name), tone(shape.images[0][thin], white)),
+            ("normals", normal_picture(shape.normals.normal[thin], shape.normals.measurable[thin])),
+            ("relief", relief_picture(shape.height.height[thin], low, high, step)),
         ]
         if capture.truth.normals is not None:
             error = angular_error(shape.normals.normal, capture.truth.normals)
             mean = float(np.nanmean(error[capture.mask]))
-            tiles.append((f"error: {mean:.1f} deg on average", error_picture(error, capture.mask, TOP)))
+            tiles.append((f"error: {mean:.1f} deg on average", error_picture(error[thin], mask, TOP)))
         lines.append((name, tiles))
     columns = max(len(tiles) for _, tiles in lines)
     canvas = Image.new("RGB", (GAP + columns * (TILE + GAP), GAP + len(lines) * (TILE + HEAD + GAP)), PAPER)
@@ -50,7 +66,7 @@ def overview(comparison: Comparison) -> Picture:
         for c, (title, picture) in enumerate(tiles):
             x, y = GAP + c * (TILE + GAP), GAP + r * (TILE + HEAD + GAP)
             draw.text((x, y + 2), title, INK, font)
-            small = Image.fromarray(crop_to_mask(picture, capture.mask, 8))
+            small = Image.fromarray(crop_to_mask(picture, mask, 8))
             small.thumbnail((TILE, TILE), Image.Resampling.LANCZOS)
             if max(small.size) < TILE:
                 factor = TILE / max(small.size)

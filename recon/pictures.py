@@ -5,7 +5,7 @@ Every picture is (H, W, 3) uint8, sRGB. They are for looking; the files of measu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
@@ -18,6 +18,9 @@ from recon.metrics import normal_bytes
 
 Picture = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
+
+AT_ONCE = 1 << 23
+"""Values of a picture that are worked out at a time."""
 
 OUTSIDE = (30, 32, 36)
 """The neutral dark colour of pixels outside the mask, in every picture of a map."""
@@ -45,7 +48,10 @@ def tone(radiance: NDArray[Any], white: float = 1.0) -> Picture:
     """A linear picture (..., H, W, 3) as 8-bit sRGB, with `white` at 255 and what is brighter clipped."""
     if not (np.isfinite(white) and white > 0):
         raise InputError(f"the white level must be a positive number, got {white!r}")
-    return _bytes(encode_srgb(np.asarray(radiance, dtype=np.float64) / white) * 255)
+    picture = np.empty(np.shape(radiance), np.uint8)
+    for rows in _strips(picture):
+        picture[rows] = _bytes(encode_srgb(np.asarray(radiance[rows], dtype=np.float64) / white) * 255)
+    return picture
 
 
 def normal_picture(normal: NDArray[Any], mask: Bools | None = None) -> Picture:
@@ -53,9 +59,12 @@ def normal_picture(normal: NDArray[Any], mask: Bools | None = None) -> Picture:
 
     mask: (H, W); default: where the normal is finite and not zero. Outside it the picture is `OUTSIDE`.
     """
-    n = np.asarray(normal, dtype=np.float64)
-    inside = np.isfinite(n).all(axis=-1) & (n != 0).any(axis=-1)
-    return _masked(normal_bytes(np.nan_to_num(n)), inside if mask is None else mask & inside)
+    picture = np.empty(normal.shape, np.uint8)
+    for rows in _strips(picture):
+        n = np.asarray(normal[rows], dtype=np.float64)
+        inside = np.isfinite(n).all(axis=-1) & (n != 0).any(axis=-1)
+        picture[rows] = _masked(normal_bytes(np.nan_to_num(n)), inside if mask is None else mask[rows] & inside)
+    return picture
 
 
 def sphere_legend(size: int = 96) -> Picture:
@@ -93,6 +102,16 @@ def relief_picture(height: NDArray[Any], lo: float, hi: float, metres_per_pixel:
     strength: exaggerates the slope. The light comes from the upper left at 45 degrees, the mapmaker's convention.
     Source: Horn, "Hill shading and the reflectance map", Proc. IEEE 69(1), 1981.
     """
+    picture = np.empty((*height.shape, 3), np.uint8)
+    for rows in _strips(picture):
+        first = max(rows.start - 1, 0)  # slopes need the rows above and below
+        picture[rows] = _relief(height[first : rows.stop + 1], lo, hi, metres_per_pixel, strength)[rows.start - first :][
+            : rows.stop - rows.start
+        ]
+    return picture
+
+
+def _relief(height: NDArray[Any], lo: float, hi: float, metres_per_pixel: float, strength: float) -> Picture:
     inside = np.isfinite(height)
     dx, dy = (strength * d / metres_per_pixel for d in _slopes(np.asarray(height, dtype=np.float64), inside))
     light = np.array([-0.5, 0.5, np.sqrt(0.5)])
@@ -138,8 +157,9 @@ def difference_scale(*pairs: tuple[Picture, Picture]) -> float:
 
 def overlay(picture: Picture, mask: Bools, colour: tuple[int, int, int] = (255, 64, 160), opacity: float = 0.65) -> Picture:
     """`picture` with the pixels of `mask` (H, W), such as the defects, tinted in `colour`."""
-    mixed = picture * (1 - opacity) + np.array(colour, dtype=np.float64) * opacity
-    return np.where(mask[..., None], _bytes(mixed), picture).astype(np.uint8)
+    tinted = picture.copy()
+    tinted[mask] = _bytes(picture[mask] * (1 - opacity) + np.array(colour, dtype=np.float64) * opacity)
+    return tinted
 
 
 def colour_strip(colours: str = "error", width: int = 256, height: int = 1) -> Picture:
@@ -246,6 +266,13 @@ def _oklab_to_linear(lightness: NDArray[Any], a: NDArray[Any], b: NDArray[Any]) 
     )
     rgb: NDArray[np.float64] = (to_rgb @ lms**3).T
     return rgb
+
+
+def _strips(picture: Picture) -> Iterator[slice]:
+    """Parts of a picture, along its first axis, that are worked out one after another: double precision takes eight times the room."""
+    step = max(AT_ONCE * len(picture) // max(picture.size, 1), 1)
+    for start in range(0, len(picture), step):
+        yield slice(start, min(start + step, len(picture)))
 
 
 def _index(values: NDArray[Any], inside: Bools, lo: float, hi: float) -> NDArray[np.intp]:

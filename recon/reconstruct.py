@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,17 +12,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Capture, Fault, grey
 from gen.errors import InputError
 from recon.calibration import change, table_for
 from recon.conditioning import leave_out, lit, lowered
 from recon.defects import Defects, find_defects, require_threshold
 from recon.near_light import NearFit, places_known, solve_near
-from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired
+from recon.registry import GLOSS, HEIGHT, NORMALS, REPAIR, Height, Layers, Normals, Repaired, Solver
 from recon.suitability import require_suitable
 
 if TYPE_CHECKING:
     import trimesh
+
+PIXELWISE = frozenset(
+    {"least-squares", "three-light", "l1", "sparse-bayesian", "thresholded-sparse-bayesian", "position-threshold", "coat"}
+)
+"""Solvers that look at each pixel by itself: large captures are solved part by part, and nothing shows where the parts meet."""
 
 Progress = Callable[[str], None]
 """Called with the name of each step as it begins."""
@@ -83,10 +90,19 @@ class Shape:
     near: NearFit | None = None
 
     def mesh(self) -> trimesh.Trimesh:
-        """The surface as a mesh in the camera frame, in `height.unit`, with the albedo as vertex colours."""
+        """The surface as a mesh in the camera frame, in `height.unit`, with the albedo as vertex colours; see `mesh_step`."""
         from recon.mesh import surface_mesh
 
-        return surface_mesh(self.height.points, self.normals.normal, self.normals.albedo)
+        maps = (self.height.points, self.normals.normal, self.normals.albedo)
+        return surface_mesh(*(values[:: self.mesh_step, :: self.mesh_step] for values in maps))
+
+    @property
+    def mesh_step(self) -> int:
+        """Every which pixel is a vertex of the mesh, along rows and columns: 1, all of them, up to `recon.mesh.MOST_POINTS`."""
+        from recon.mesh import MOST_POINTS
+
+        points = np.count_nonzero(np.isfinite(self.height.height))
+        return max(math.ceil(math.sqrt(points / MOST_POINTS)), 1)
 
 
 def reconstruct(
@@ -111,12 +127,13 @@ def reconstruct(
     with _timed(times, "normals", "solving for normals", progress):
         weights = sample_weights(capture, layers, repaired, settings)
         solver, integrator = NORMALS.load(settings.normals), HEIGHT.load(settings.height)
-        reflectance = capture.reflectance(repaired.images)
         near = None
         if places_known(capture):
-            normals, height, near = solve_near(capture, reflectance, weights, solver, integrator)
+            normals, height, near = solve_near(capture, capture.reflectance(repaired.images), weights, solver, integrator)
+        elif settings.normals in PIXELWISE:
+            normals = solved_in_strips(solver, capture, repaired.images, weights)
         else:
-            normals = solver(reflectance, capture.lights, capture.mask, weights)
+            normals = solver(capture.reflectance(repaired.images), capture.lights, capture.mask, weights)
         if not normals.measurable.any():
             raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
         normals = calibrated(normals, capture, repaired.images, settings)
@@ -131,6 +148,28 @@ def consumed_pictures(layers: Layers, settings: Settings) -> tuple[NDArray[np.fl
     if layers.matte is not None:
         return layers.matte, "matte"
     return layers.diffuse, "pictures" if settings.gloss == "none" else "diffuse"
+
+
+def solved_in_strips(solver: Solver, capture: Capture, images: NDArray[np.float32], weights: NDArray[np.float32]) -> Normals:
+    """What a solver of `PIXELWISE` makes of pictures (K, H, W, 3) radiance, a strip of rows after another where they are large."""
+    parts = list(large.strips(images.shape))
+    if len(parts) == 1:
+        return solver(capture.reflectance(images), capture.lights, capture.mask, weights)
+    size = capture.mask.shape
+    normals = Normals(
+        normal=large.zeros((*size, 3), np.float32),
+        albedo=large.zeros((*size, 3), np.float32),
+        uncertainty=np.full(size, np.nan, np.float32),
+        measurable=np.zeros(size, bool),
+    )
+    for rows in parts:
+        if not capture.mask[rows].any():
+            continue
+        found = solver(capture.reflectance(images[:, rows]), capture.lights, capture.mask[rows], weights[:, rows])
+        for name, part in vars(found).items():
+            getattr(normals, name)[rows] = part
+        large.release(images, weights, normals.normal, normals.albedo)
+    return normals
 
 
 def calibrated(normals: Normals, capture: Capture, images: NDArray[np.float32], settings: Settings) -> Normals:
@@ -151,15 +190,20 @@ def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, setting
     Clipped samples, and shadowed ones where asked, are left out. Neither this nor the confidence goes further than the lights
     allow: a pixel whose normal the other samples would no longer determine keeps them (see `recon.conditioning.lowered`).
     """
-    weights = np.where(capture.faults & Fault.MISSING, 0, repaired.weights).astype(np.float32)
-    if layers.confidence is not None:
-        weights = lowered(weights, weights * layers.confidence, capture.lights)
-    if settings.shadows == "drop":
-        shadow = ~lit(grey(capture.reflectance(repaired.images))) | ((capture.faults & Fault.DARK) > 0)
-        weights = leave_out(weights, shadow, capture.lights)
-    if settings.saturated == "drop":
-        weights = leave_out(weights, (capture.faults & Fault.CLIPPED) > 0, capture.lights)
-    return weights
+    result = large.empty(capture.faults.shape, np.float32)
+    for rows in large.strips(capture.images.shape):
+        faults = capture.faults[:, rows]
+        weights = np.where(faults & Fault.MISSING, 0, repaired.weights[:, rows]).astype(np.float32)
+        if layers.confidence is not None:
+            weights = lowered(weights, weights * layers.confidence[:, rows], capture.lights)
+        if settings.shadows == "drop":
+            shadow = ~lit(grey(capture.reflectance(repaired.images[:, rows]))) | ((faults & Fault.DARK) > 0)
+            weights = leave_out(weights, shadow, capture.lights)
+        if settings.saturated == "drop":
+            weights = leave_out(weights, (faults & Fault.CLIPPED) > 0, capture.lights)
+        result[:, rows] = weights
+        large.release(result, layers.confidence, repaired.images)
+    return result
 
 
 @contextmanager

@@ -46,11 +46,12 @@ CUT = 20.0
 
 
 @in_full
-def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor) -> Evidence:
+def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor, level: Tensor | None = None) -> Evidence:
     """The features of every sample.
 
     images: (B, K, 3, H, W) reflectance, may be slightly negative. lights: (B, K, 3) unit, or None where unknown. valid: (B, K, H, W) bool.
-    mask: (B, H, W) bool. Features: square roots of the three channels over the pixel's brightness; validity; how grey the sample is beside
+    mask: (B, H, W) bool. level: (B, 1, 1, 1), the brightness of the whole of which this is a part; None: this is all (see `roots`).
+    Features: square roots of the three channels over the pixel's brightness; validity; how grey the sample is beside
     the pixel's most colourful, and how colourful that one is; what the colour says of the diffuse share (`diffuse_by_colour`, log); the
     pixel's brightness beside the picture's (log); and with lights known: their direction, a robust Lambertian normal with n.l and n.h,
     the residual of its fit, of the fit without this sample, and of the least and the median prediction of this sample from triplets of
@@ -60,8 +61,8 @@ def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor)
     inside = mask[:, None].to(images.dtype)
     luma = luminance(images).clamp(min=0) * inside
     dim = luma.clamp(min=1e-12).sqrt().mean(1, keepdim=True)
-    # A mean of roots over the picture, so that highlights, however bright, hardly move it.
-    level = ((dim * inside).sum((2, 3), keepdim=True) / inside.sum((2, 3), keepdim=True).clamp(min=1)).square()
+    if level is None:
+        level = level_of((dim * inside).sum((2, 3), keepdim=True), inside.sum((2, 3), keepdim=True))
     # Of a pixel too, but no more than that of its lights' middle one (or the picture's, where most are shadowed) allows: else a strong
     # highlight would make all other samples look dark.
     middle = luma.sort(1).values[:, (k - 1) // 2, None]
@@ -86,6 +87,21 @@ def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor)
         parts.append(_geometry(y, lights, shown).flatten(0, 1))
     features = torch.cat(parts, 1) * mask.repeat_interleave(k, 0).unsqueeze(1)
     return Evidence(features.reshape(b, k, CHANNELS, h, w), scale, y)
+
+
+def roots(images: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Of a part of a picture what its brightness is made of, each (B, 1, 1, 1): both add up over the parts. Arguments as in `evidence`.
+
+    They are the sum over the object's pixels of the root of their luma, mean over the lights, and the number of these pixels.
+    """
+    inside = mask[:, None].to(images.dtype)
+    dim = (luminance(images).clamp(min=0) * inside).clamp(min=1e-12).sqrt().mean(1, keepdim=True)
+    return (dim * inside).sum((2, 3), keepdim=True), inside.sum((2, 3), keepdim=True)
+
+
+def level_of(total: Tensor, pixels: Tensor) -> Tensor:
+    """A picture's brightness by its `roots`: highlights, however bright, hardly move a mean of roots."""
+    return (total / pixels.clamp(min=1)).square()
 
 
 def _geometry(y: Tensor, lights: Tensor, shown: Tensor) -> Tensor:

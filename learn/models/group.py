@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gen.errors import InputError
-from learn.models.evidence import CHANNELS, evidence, luminance, toward
+from learn.models.evidence import CHANNELS, Evidence, evidence, luminance, toward
 from learn.solve import in_full, shading, unit, weighted_least_squares
 
 OUTPUTS = 7
@@ -99,10 +99,15 @@ class GroupNet(nn.Module):
         mask: (B, H, W) bool. solve: lights for the normals alone, which the network does not see (training without lights). shrink: the
         trunk looks at means of shrink x shrink pixels, see `shrink_of`.
         """
-        b, k, _, h, w = images.shape
+        k, _, h, w = images.shape[1:]
         given = evidence(images, lights, valid, mask)
         features = given.features.flatten(0, 1).contiguous(memory_format=torch.channels_last)
         seen = features if shrink == 1 else shrunk_features(images, lights, valid, mask, shrink)
+        coarse = enlarged(self.trunk(seen, k), shrink)[..., :h, :w]
+        return self.head(images, lights, valid, mask, given, features, coarse, solve)
+
+    def trunk(self, seen: Tensor, k: int) -> Tensor:
+        """What encoder and decoder make of the features (B * K, CHANNELS, h, w) of k pictures a view: (B * K, head, h / 2, w / 2)."""
         step = 1 << len(self.widths)
         x, skips = F.pad(seen, (0, -seen.shape[3] % step, 0, -seen.shape[2] % step)), []
         for down in self.down:
@@ -110,7 +115,30 @@ class GroupNet(nn.Module):
             skips.append(x)
         for up, skip in zip(self.up, skips[-2::-1], strict=True):
             x = up(x, skip)
-        coarse = F.interpolate(self.coarse(x), scale_factor=2 * shrink, mode="bilinear", align_corners=False)[..., :h, :w]
+        return self.coarse(x)
+
+    @property
+    def reach(self) -> int:
+        """Pixels around it that the trunk looks at for each of its own."""
+        return 6 << len(self.widths)
+
+    def head(
+        self,
+        images: Tensor,
+        lights: Tensor | None,
+        valid: Tensor,
+        mask: Tensor,
+        given: Evidence,
+        features: Tensor,
+        coarse: Tensor,
+        solve: Tensor | None = None,
+    ) -> GroupLayers:
+        """The layers by what the trunk saw, at each pixel: it looks no further around than one pixel, and one more in each refinement.
+
+        given, features: the evidence, and its features (B * K, CHANNELS, H, W). coarse: (B * K, head, H, W), `enlarged`. The rest as in
+        `forward`.
+        """
+        b, k, _, h, w = images.shape
         hidden = F.relu(self.mix(F.relu(self.fine(features) + coarse)))
         outputs = self.out(hidden).reshape(b, k, OUTPUTS, h, w)
         known = lights if solve is None else solve
@@ -176,8 +204,25 @@ def shrink_of(mask: Tensor) -> int:
     return min(max(round(across / SEEN_ACROSS), 1), MOST_SHRUNK)
 
 
-def shrunk_features(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor, shrink: int) -> Tensor:
-    """The features (B * K, CHANNELS, h, w) of pictures whose pixels are the means over shrink x shrink of the object's."""
+def enlarged(coarse: Tensor, shrink: int) -> Tensor:
+    """What the trunk made of pictures that were shrunk so, at full size."""
+    return F.interpolate(coarse, scale_factor=2 * shrink, mode="bilinear", align_corners=False)
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """Pictures whose pixels are the means over shrink x shrink of the object's.
+
+    images: (B, K, 3, h, w). valid: (B, K, h, w). mask: (B, h, w).
+    """
+
+    images: Tensor
+    valid: Tensor
+    mask: Tensor
+
+
+def shrunk(images: Tensor, valid: Tensor, mask: Tensor, shrink: int) -> Shrunk:
+    """Pictures made smaller; where they do not divide, the last pixels are means of fewer."""
     b, k, _, h, w = images.shape
     edge = (0, -w % shrink, 0, -h % shrink)
 
@@ -190,7 +235,13 @@ def shrunk_features(images: Tensor, lights: Tensor | None, valid: Tensor, mask: 
     small = mean((images * inside[:, None]).flatten(0, 1)) / share
     shown = mean((valid * inside).flatten(0, 1)[:, None]) / share > 0.5
     size = small.shape[-2:]
-    given = evidence(small.reshape(b, k, 3, *size), lights, shown.reshape(b, k, *size), covered[:, 0] >= 0.5)
+    return Shrunk(small.reshape(b, k, 3, *size), shown.reshape(b, k, *size), covered[:, 0] >= 0.5)
+
+
+def shrunk_features(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor, shrink: int) -> Tensor:
+    """The features (B * K, CHANNELS, h, w) of the pictures made smaller."""
+    small = shrunk(images, valid, mask, shrink)
+    given = evidence(small.images, lights, small.valid, small.mask)
     return given.features.flatten(0, 1).contiguous(memory_format=torch.channels_last)
 
 

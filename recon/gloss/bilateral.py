@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,9 @@ CHANGE = 0.03
 """Iteration ends when no maximum chromaticity rises by more than this (the paper's)."""
 
 ITERATIONS = 12
+
+CHUNK = 1 << 21
+"""Pixels that are looked up in the grid at a time, at a hundred bytes each."""
 
 DARK = 0.02
 """Samples under this share of the picture's brightest (99.5th percentile) have no reliable colour: they neither give nor take."""
@@ -87,11 +92,34 @@ def gloss_of_picture(r: Floats, usable: Bools, clipped: Bools) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A bilateral grid and where P pixels lie in it: corners (8, P) flat indices with their trilinear shares (8, P)."""
+    """A bilateral grid, and where P pixels lie in it: position (P, 3), in cells."""
 
     shape: tuple[int, int, int]
-    corners: NDArray[np.intp]
-    shares: Floats
+    position: Floats
+
+    def parts(self) -> Iterator[tuple[slice, NDArray[np.intp], Floats]]:
+        """Some pixels at a time, with the flat indices of the corners around each (8, p) and its trilinear shares of them (8, p)."""
+        if len(self.position) <= CHUNK:
+            yield (slice(None), *self._few)
+            return
+        for start in range(0, len(self.position), CHUNK):
+            of = slice(start, start + CHUNK)
+            yield (of, *self._around(self.position[of]))
+
+    @cached_property
+    def _few(self) -> tuple[NDArray[np.intp], Floats]:
+        """Of so few pixels that they need not be worked out anew each time."""
+        return self._around(self.position)
+
+    def _around(self, position: Floats) -> tuple[NDArray[np.intp], Floats]:
+        low = np.floor(position).astype(np.intp)
+        part = position - low
+        corners, shares = [], []
+        for corner in np.ndindex(2, 2, 2):
+            at = low + np.array(corner)
+            corners.append((at[:, 0] * self.shape[1] + at[:, 1]) * self.shape[2] + at[:, 2])
+            shares.append(np.prod(np.where(np.array(corner) == 1, part, 1 - part), axis=1))
+        return np.stack(corners), np.stack(shares).astype(np.float32)
 
 
 def joint_bilateral(values: Floats, weights: Floats, grid: Grid) -> Floats:
@@ -99,32 +127,29 @@ def joint_bilateral(values: Floats, weights: Floats, grid: Grid) -> Floats:
     from scipy.ndimage import gaussian_filter
 
     size = int(np.prod(grid.shape))
-    cells = [
-        sum(np.bincount(c, weights=w * part, minlength=size) for c, w in zip(grid.corners, grid.shares, strict=True))
-        for part in (weights, weights * values)
-    ]
+    cells = np.zeros((2, size))
+    for of, corners, shares in grid.parts():
+        for cell, part in zip(cells, (weights[of], weights[of] * values[of]), strict=True):
+            cell += sum(np.bincount(c, weights=w * part, minlength=size) for c, w in zip(corners, shares, strict=True))
     mass, moment = (
         gaussian_filter(np.reshape(cell, grid.shape), 2.0, mode="constant", truncate=3.0).reshape(-1) for cell in cells
     )
     mean = np.where(mass > 1e-6, moment / np.maximum(mass, 1e-6), -1).astype(np.float32)
     # Interpolating mass and moment apart would cost twice as much; the mean is as smooth as they are.
-    at = mean[grid.corners]
-    known = np.where(at >= 0, grid.shares, 0)
-    enough = known.sum(axis=0)
-    result: Floats = np.where(enough > 0, (known * at).sum(axis=0) / np.where(enough > 0, enough, 1), values).astype(np.float32)
+    result = np.empty(len(values), np.float32)
+    for of, corners, shares in grid.parts():
+        at = mean[corners]
+        known = np.where(at >= 0, shares, 0)
+        enough = known.sum(axis=0)
+        result[of] = np.where(enough > 0, (known * at).sum(axis=0) / np.where(enough > 0, enough, 1), values[of])
     return result
 
 
 def _grid(places: NDArray[np.intp], guide: Floats, size: tuple[int, ...]) -> Grid:
     """The grid of half-sigma cells for pixels at places (P, 2) with guide values (P,)."""
     cell = SPATIAL_SIGMA / 2 * max(size)
-    position = np.column_stack([places / cell, (guide - 1 / 3) / (RANGE_SIGMA / 2)]).astype(np.float32)
-    low = np.floor(position).astype(np.intp)
-    part = position - low
-    shape = tuple(int(n) + 2 for n in low.max(axis=0))
-    corners, shares = [], []
-    for corner in np.ndindex(2, 2, 2):
-        at = low + np.array(corner)
-        corners.append((at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2])
-        shares.append(np.prod(np.where(np.array(corner) == 1, part, 1 - part), axis=1))
-    return Grid((shape[0], shape[1], shape[2]), np.stack(corners), np.stack(shares).astype(np.float32))
+    position = np.empty((len(places), 3), np.float32)
+    position[:, :2] = places / cell
+    position[:, 2] = (guide - 1 / 3) / (RANGE_SIGMA / 2)
+    rows, columns, bins = (int(n) + 2 for n in np.floor(position.max(axis=0)))
+    return Grid((rows, columns, bins), position)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Capture, Fault, Floats
-from recon.gloss import remove, workable
+from recon.gloss import remove
 from recon.gloss.geometry import gloss_from_geometry, smoothstep
 from recon.registry import Layers
 
@@ -40,30 +43,49 @@ def chromaticity(capture: Capture) -> Layers:
     "Temporal-color space analysis of reflection" (1994); S. Mallick et al., "Beyond Lambert: reconstructing specular
     surfaces using color" (CVPR 2005).
     """
-    mask = capture.mask
-    usable = workable(capture)[:, mask]
-    samples = np.maximum(capture.reflectance()[:, mask], 0)
-    by_colour, trust = split_by_colour(samples, usable, (capture.faults & Fault.CLIPPED)[:, mask] != 0)
-    found = by_colour * trust
-    grey = np.flatnonzero(trust < 1)
-    by_geometry = gloss_from_geometry(samples[:, grey].mean(axis=2), usable[:, grey], capture.lights)
-    found[:, grey] += (1 - trust[grey]) * by_geometry
+    gloss, confidence = (large.zeros(capture.faults.shape, np.float32) for _ in range(2))
+    parts = [rows for rows in large.strips(capture.images.shape) if capture.mask[rows].any()]
+    common = (
+        float(np.median(np.concatenate([_by_hue(*_samples(capture, rows)).scatter for rows in parts])))
+        if len(parts) > 1
+        else None
+    )
+    for rows in parts:
+        mask = capture.mask[rows]
+        samples, usable, clipped = _samples(capture, rows)
+        by_colour, trust = split_by_colour(samples, usable, clipped, common)
+        found = by_colour * trust
+        grey = np.flatnonzero(trust < 1)
+        by_geometry = gloss_from_geometry(samples[:, grey].mean(axis=2), usable[:, grey], capture.lights)
+        found[:, grey] += (1 - trust[grey]) * by_geometry
 
-    brightness = samples.mean(axis=2)
-    taken = np.minimum(found, samples.min(axis=2)) / np.where(brightness > 0, brightness, 1)
-    gloss = np.zeros(capture.faults.shape, np.float32)
-    gloss[:, mask] = found
-    confidence = np.zeros_like(gloss)
-    confidence[:, mask] = np.where(usable, 1 - (1 - trust) * np.clip(taken, 0, 1), 0)
+        brightness = samples.mean(axis=2)
+        taken = np.minimum(found, samples.min(axis=2)) / np.where(brightness > 0, brightness, 1)
+        gloss[:, rows][:, mask] = found
+        confidence[:, rows][:, mask] = np.where(usable, 1 - (1 - trust) * np.clip(taken, 0, 1), 0)
+        large.release(capture.images, gloss, confidence)
     return remove(capture, gloss, confidence)
 
 
-def split_by_colour(samples: Floats, usable: NDArray[np.bool_], clipped: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Gloss of each sample from its colour, and how far each pixel's colour can be believed.
+def _samples(capture: Capture, rows: slice) -> tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of the object's pixels in some rows: reflectance (K, P, 3), not negative; which samples are there, and which are clipped, (K, P)."""
+    mask, faults = capture.mask[rows], capture.faults[:, rows]
+    samples = np.maximum(capture.reflectance(capture.images[:, rows])[:, mask], 0)
+    return samples, ((faults & Fault.MISSING) == 0)[:, mask], (faults & Fault.CLIPPED)[:, mask] != 0
 
-    samples: (K, P, 3) reflectance, not negative. usable, clipped: (K, P); clipped samples have a false colour and do not shape the
-    chromaticity. Returns gloss (K, P) >= 0 and trust (P,) in [0, 1].
-    """
+
+@dataclass(frozen=True, eq=False)
+class _Hue:
+    """white, a: (K, P) mean of the channels, and the part along the pixel's hue (P, 3). good: (K, P). scatter: (P,) of what lies off it."""
+
+    white: Floats
+    a: Floats
+    hue: Floats
+    good: Floats
+    scatter: Floats
+
+
+def _by_hue(samples: Floats, usable: NDArray[np.bool_], clipped: NDArray[np.bool_]) -> _Hue:
     white = samples.mean(axis=2)
     chromatic = samples - white[..., None]
     good = (usable & ~clipped).astype(np.float32)
@@ -72,8 +94,21 @@ def split_by_colour(samples: Floats, usable: NDArray[np.bool_], clipped: NDArray
     a = np.maximum(np.einsum("kpc,pc->kp", chromatic, hue), 0)
     off = chromatic - a[..., None] * hue
     scatter = np.sqrt((np.square(off).sum(axis=2) * good).sum(axis=0) / np.maximum(good.sum(axis=0) - 1, 1))
+    return _Hue(white, a, hue, good, scatter)
+
+
+def split_by_colour(
+    samples: Floats, usable: NDArray[np.bool_], clipped: NDArray[np.bool_], common: float | None = None
+) -> tuple[Floats, Floats]:
+    """Gloss of each sample from its colour, and how far each pixel's colour can be believed.
+
+    samples: (K, P, 3) reflectance, not negative. usable, clipped: (K, P); clipped samples have a false colour and do not shape the
+    chromaticity. common: the median scatter of all pixels, where these are only some. Returns gloss (K, P) >= 0 and trust (P,) in [0, 1].
+    """
+    found = _by_hue(samples, usable, clipped)
+    white, a, hue, good, scatter = found.white, found.a, found.hue, found.good, found.scatter
     # A handful of samples may agree by luck: no pixel is believed to be less noisy than the common one.
-    noise = np.maximum(scatter, np.median(scatter))
+    noise = np.maximum(scatter, np.median(scatter) if common is None else np.float32(common))
     # Saturation of the diffuse colour, as white = ratio * chromatic: the least ratio is that of the most saturated sample. Each sample
     # gets the benefit of its noise, since the least of several noisy ratios would be too small.
     reliable = (good > 0) & (a > LIT * (a * good).max(axis=0)) & (a > 0)

@@ -14,7 +14,7 @@ def none(capture: Capture) -> Layers:
 
     The row "do nothing" that every other method has to beat.
     """
-    return Layers(diffuse=capture.images, specular=np.zeros_like(capture.images))
+    return Layers(diffuse=capture.images, specular=np.broadcast_to(np.float32(0), capture.images.shape))
 
 
 def true_diffuse(capture: Capture) -> Layers:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,13 +13,15 @@ from recon.height.edges import (
     Domain,
     Doubles,
     Floats,
+    Indices,
     anchor_of,
     domain_of,
     height_of,
-    normal_equations,
     right_side,
 )
-from recon.height.quadratic import hierarchy
+from recon.height.large import Sheet, is_large, reweigh
+from recon.height.multigrid import GridSystem
+from recon.normals.compiled import compiled
 from recon.registry import Height
 
 STIFFNESS = 2.0
@@ -54,9 +54,19 @@ def bilateral(
     Source: Cao, Santo, Shi, Okura and Matsushita, "Bilateral Normal Integration" (ECCV 2022), the functional with its sigmoid of
     stiffness 2; the multigrid cycle is this project's choice.
     """
+    if is_large(mask, reference):
+        sheet = Sheet(normal, mask, scale)
+        return torn_height(sheet, sheet.inside)
     domain = domain_of(normal, mask, scale)
     anchor = anchor_of(domain, reference, reach)
     return height_of(domain, reweighted(domain, anchor), anchor)
+
+
+def torn_height(sheet: Sheet, torn: NDArray[np.bool_]) -> Height:
+    """Of a large map: only the edges that touch a pixel of `torn` (h, w) can be steps, the others take the chord of both normals."""
+    reweigh(sheet, torn, STIFFNESS, FAINTEST, ROUNDS, SETTLED, LOOSE)
+    sheet.solve(TIGHT, renew=False)
+    return sheet.height()
 
 
 def reweighted(domain: Domain, anchor: Anchor | None, smooth: NDArray[np.bool_] | None = None) -> Doubles:
@@ -64,36 +74,26 @@ def reweighted(domain: Domain, anchor: Anchor | None, smooth: NDArray[np.bool_] 
 
     smooth: (E,) edges that no step can cross: they keep their weight and take the chord of both normals. None: there is none such.
     """
-    i, j = domain.i, domain.j
     a, b, own_i, own_j = _statements(domain)
-    chords = None if smooth is None else domain.chords()
-    trust_i = np.full(len(i), 0.5)
-    trust_j = trust_i.copy()
-    z = np.zeros(domain.count)
-    solver, energy = None, np.inf
+    if smooth is None:
+        smooth = np.zeros(len(domain.i), bool)
+    chords = domain.chords() if smooth.any() else np.zeros(len(domain.i))
+    trust = np.full((2, len(domain.i)), 0.5)
+    weight = 0.5 * (a**2 + b**2)
+    flow = np.where(smooth, weight * chords, 0.5 * (a * own_i + b * own_j))
+    system = GridSystem(domain, None if anchor is None else anchor.pull)
+    z, energy = np.zeros(domain.count), np.inf
     for _ in range(ROUNDS):
-        weight = trust_i * a**2 + trust_j * b**2
-        flow = trust_i * a * own_i + trust_j * b * own_j
-        if smooth is not None and chords is not None:
-            flow = np.where(smooth, weight * chords, flow)
         right = right_side(domain, flow, anchor)
         if not right.any():
             return z
-        A = normal_equations(domain, weight, None if anchor is None else anchor.pull)
-        if solver is None:
-            solver = hierarchy(A)
-        z, steps = _conjugate_gradients(A, right, z, solver, LOOSE)
-        if steps > 12:  # the weights have moved away from those that the cycle was made for
-            solver = None
-        move = z[j] - z[i]
-        misfit_i, misfit_j = a * move - own_i, b * move - own_j
-        last, energy = energy, float((trust_i * misfit_i**2 + trust_j * misfit_j**2).sum())
+        system.weigh(weight)
+        z = system.solve(right, z, LOOSE)
+        last = energy
+        energy = _reweigh(domain.i, domain.j, domain.right, a, b, own_i, own_j, smooth, STIFFNESS, z, trust, weight, flow)
         if abs(last - energy) <= SETTLED * last and np.isfinite(last):
             break
-        trust_i, trust_j = _trust(domain, (a * move) ** 2, (b * move) ** 2)
-        if smooth is not None:
-            trust_i[smooth] = trust_j[smooth] = 0.5
-    return _conjugate_gradients(A, right, z, solver or hierarchy(A), TIGHT)[0]
+    return system.solve(right, z, TIGHT)
 
 
 def _statements(domain: Domain) -> tuple[Doubles, Doubles, Doubles, Doubles]:
@@ -112,37 +112,44 @@ def _statements(domain: Domain) -> tuple[Doubles, Doubles, Doubles, Doubles]:
     return toward[domain.i] * focal, toward[domain.j] * focal, tilt[0], tilt[1]
 
 
-def _trust(domain: Domain, move_i: Doubles, move_j: Doubles) -> tuple[Doubles, Doubles]:
-    """(E,) each: what the pixel at either end of an edge trusts this edge against the one at its other side, in [FAINTEST, 1].
+@compiled
+def _reweigh(
+    i: Indices,
+    j: Indices,
+    right: int,
+    a: Doubles,
+    b: Doubles,
+    own_i: Doubles,
+    own_j: Doubles,
+    smooth: NDArray[np.bool_],
+    stiffness: float,
+    z: Doubles,
+    trust: Doubles,
+    weight: Doubles,
+    flow: Doubles,
+) -> float:
+    """The energy of the heights z (P,) under the present trust; then the trust that they give, and the weight and flow of each edge by it.
 
-    move_i, move_j: squared moves across the edge along the normal of either end. A side that leaves the mask moves by nothing.
+    trust: (2, E) what the pixel at either end of an edge trusts this edge against the one at its other side, in [`FAINTEST`, 1]: the
+    sigmoid of the difference of the two squared moves along its normal. A side that leaves the mask moves by nothing. trust, weight (E,)
+    and flow (E,) are written, but where `smooth`.
     """
-    trust_i, trust_j = np.empty_like(move_i), np.empty_like(move_j)
-    for axis in (slice(None, domain.right), slice(domain.right, None)):
-        i, j = domain.i[axis], domain.j[axis]
-        behind, ahead = np.zeros(domain.count), np.zeros(domain.count)
-        behind[j], ahead[i] = move_j[axis], move_i[axis]
-        trust_i[axis] = _sigmoid(behind[i] - move_i[axis])
-        trust_j[axis] = _sigmoid(ahead[j] - move_j[axis])
-    return trust_i, trust_j
-
-
-def _sigmoid(x: Doubles) -> Doubles:
-    from scipy.special import expit
-
-    return np.maximum(expit(STIFFNESS * x), FAINTEST)
-
-
-def _conjugate_gradients(A: Any, right: Doubles, start: Doubles, solver: Any, tolerance: float) -> tuple[Doubles, int]:
-    """The solution from a start, and how many steps it took; `solver` is a multigrid hierarchy, of this matrix or one like it."""
-    from scipy.sparse.linalg import cg
-
-    steps = 0
-
-    def count(_: Doubles) -> None:
-        nonlocal steps
-        steps += 1
-
-    preconditioner = solver.aspreconditioner(cycle="V")
-    solution, _ = cg(A, right, x0=start, rtol=tolerance, maxiter=200, M=preconditioner, callback=count)
-    return solution, steps
+    energy = 0.0
+    behind, ahead = np.empty(len(z)), np.empty(len(z))
+    for start, end in ((0, right), (right, len(i))):
+        behind[:] = 0.0
+        ahead[:] = 0.0
+        for e in range(start, end):
+            move = z[j[e]] - z[i[e]]
+            by_i, by_j = a[e] * move, b[e] * move
+            energy += trust[0, e] * (by_i - own_i[e]) ** 2 + trust[1, e] * (by_j - own_j[e]) ** 2
+            ahead[i[e]], behind[j[e]] = by_i * by_i, by_j * by_j
+        for e in range(start, end):
+            if smooth[e]:
+                continue
+            at_i, at_j = ahead[i[e]] - behind[i[e]], behind[j[e]] - ahead[j[e]]
+            trust[0, e] = max(1 / (1 + np.exp(stiffness * at_i)), FAINTEST)
+            trust[1, e] = max(1 / (1 + np.exp(stiffness * at_j)), FAINTEST)
+            weight[e] = trust[0, e] * a[e] * a[e] + trust[1, e] * b[e] * b[e]
+            flow[e] = trust[0, e] * a[e] * own_i[e] + trust[1, e] * b[e] * own_j[e]
+    return energy

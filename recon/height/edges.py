@@ -181,14 +181,21 @@ def _means(values: Doubles, part: Indices) -> Doubles:
     return np.bincount(part, values) / np.bincount(part)
 
 
+def held(count: int, weight: Doubles, pull: Doubles | None) -> Doubles:
+    """(P,) what the diagonal of the normal equations has beyond the weights (E,) of the edges: the pull of a reference, and a grain.
+
+    A height is known only up to a constant in each part: the grain makes the matrix definite.
+    """
+    mean = 2 * float(weight.sum()) / count
+    return np.full(count, 1e-10 * mean + 1e-300) if pull is None else pull + 1e-12 * mean
+
+
 def normal_equations(domain: Domain, weight: Doubles, pull: Doubles | None = None) -> Any:
     """The matrix of sum w (z_j - z_i - rise)^2 + sum pull (z - target)^2, sparse rows; see `right_side`."""
     from scipy import sparse
 
     count, i, j = domain.count, domain.i, domain.j
-    diagonal = np.bincount(i, weight, count) + np.bincount(j, weight, count)
-    # A height is known only up to a constant in each part: a grain on the diagonal makes the matrix definite.
-    diagonal += 1e-10 * diagonal.mean() + 1e-300 if pull is None else pull + 1e-12 * diagonal.mean()
+    diagonal = np.bincount(i, weight, count) + np.bincount(j, weight, count) + held(count, weight, pull)
     upper = sparse.csr_array((-weight, (i, j)), shape=(count, count))
     return (upper + upper.T + sparse.diags_array(diagonal)).tocsr()
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +15,10 @@ from recon.height.edges import (
     anchor_of,
     domain_of,
     height_of,
-    normal_equations,
     right_side,
 )
+from recon.height.large import Sheet, is_large
+from recon.height.multigrid import GridSystem
 from recon.registry import Height
 
 TOLERANCE = 1e-7
@@ -46,33 +45,27 @@ def quadratic(
     Source: quadratic integration as surveyed by Queau, Durou and Aujol, "Normal Integration: A Survey" (2018), section 3.3;
     log-depth for perspective, their Eq. 12. The chord equation and the weights are worked out here.
     """
+    if is_large(mask, reference):
+        return smooth_height(Sheet(normal, mask, scale))
     domain = domain_of(normal, mask, scale)
     anchor = anchor_of(domain, reference, reach)
     return height_of(domain, least_squares(domain, domain.chords(), anchor), anchor)
 
 
-def least_squares(domain: Domain, rise: Doubles, anchor: Anchor | None) -> Doubles:
-    """Minimise sum w (z_j - z_i - rise)^2, w by the cosines, and the pull of the reference, over the unknowns z (P,).
+def smooth_height(sheet: Sheet) -> Height:
+    """`quadratic` of a large map."""
+    sheet.chords()
+    sheet.solve(TOLERANCE)
+    return sheet.height()
 
-    Conjugate gradients under a classical algebraic multigrid cycle (Ruge and Stueben): linear time, and deterministic.
-    """
+
+def least_squares(domain: Domain, rise: Doubles, anchor: Anchor | None) -> Doubles:
+    """Minimise sum w (z_j - z_i - rise)^2, w by the cosines, and the pull of the reference, over the unknowns z (P,)."""
     toward = domain.cosines()
     weight: Doubles = np.square(toward[domain.i] * toward[domain.j])
     right = right_side(domain, weight * rise, anchor)
     if not np.any(right):
         return np.zeros(len(right))
-    A = normal_equations(domain, weight, None if anchor is None else anchor.pull)
-    solution: Doubles = hierarchy(A).solve(right, tol=TOLERANCE, accel="cg", maxiter=200)
-    if np.linalg.norm(right - A @ solution) > 100 * TOLERANCE * np.linalg.norm(right):
-        from scipy.sparse.linalg import spsolve
-
-        solution = spsolve(A.tocsc(), right)  # slow and sure
-    return solution
-
-
-def hierarchy(A: Any) -> Any:
-    """The multigrid solver of a matrix."""
-    import pyamg
-    from scipy import sparse
-
-    return pyamg.ruge_stuben_solver(sparse.csr_matrix(A), max_coarse=500, coarse_solver="splu")
+    system = GridSystem(domain, None if anchor is None else anchor.pull)
+    system.weigh(weight)
+    return system.solve(right, np.zeros(domain.count), TOLERANCE)

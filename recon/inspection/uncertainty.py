@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from gen.capture import Scale
+from recon.height.algebraic import hierarchy
 from recon.height.edges import domain_of, normal_equations, right_side
-from recon.height.quadratic import hierarchy
 from recon.inspection.measured import Measured
 from recon.inspection.view import Doubles
 

@@ -37,6 +37,7 @@ def large_least_squares(
     rows = np.flatnonzero(mask.any(axis=1))
     L = np.ascontiguousarray(lights.T, dtype=np.float64)
     samples, w = np.ascontiguousarray(reflectance, np.float32), np.ascontiguousarray(weights, np.float32)
+    samples = samples.reshape(*samples.shape[:2], -1)
     luma = np.array(LUMA, dtype=np.float32)
     in_parts(
         _solve_rows,
@@ -88,27 +89,35 @@ def _solve_rows(
     sigma: NDArray[np.float32],
     found: NDArray[np.bool_],
 ) -> None:
-    """The pixels of some rows of the mask. samples: (K, H, W, 3). weights: (K, H, W). L: (3, K). The last four are written."""
+    """The pixels of some rows of the mask. samples: (K, H, 3 W). weights: (K, H, W). L: (3, K). The last four are written.
+
+    The channels are side by side in one axis because the compiler vectorises loops along a contiguous axis, and none over three.
+    """
     K, width = samples.shape[0], mask.shape[1]
     sums = np.empty((SUMS, BLOCK))
     grey = np.empty((K, BLOCK), np.float32)
     n = np.empty((3, BLOCK), np.float32)
-    fitted = np.empty((4, BLOCK), np.float32)
+    fitted, share = np.empty(3 * BLOCK, np.float32), np.empty(3 * BLOCK, np.float32)
+    power = np.empty(BLOCK, np.float32)
     products = np.empty(6)
     for c in range(6):
         products[c] = (L[FIRST[c]] * L[SECOND[c]]).sum()
+    well_alike = _condition(products[0], products[1], products[2], products[3], products[4], products[5]) <= most
+    m_alike = inverse(products[0], products[1], products[2], products[3], products[4], products[5])
     for i in rows:
         for start in range(0, width, BLOCK):
             count = min(BLOCK, width - start)
             if not mask[i, start : start + count].any():
                 continue
             sums[:] = 0.0
-            alike = True
+            unlike = 0
             for k in range(K):
-                row, of_row = samples[k, i, start : start + count], weights[k, i, start : start + count]
+                row, of_row = samples[k, i, 3 * start : 3 * (start + count)], weights[k, i, start : start + count]
                 for j in range(count):
-                    grey[k, j] = luma[0] * row[j, 0] + luma[1] * row[j, 1] + luma[2] * row[j, 2]
-                    alike &= of_row[j] == 1
+                    unlike += of_row[j] != 1
+                for j in range(count):
+                    grey[k, j] = luma[0] * row[3 * j] + luma[1] * row[3 * j + 1] + luma[2] * row[3 * j + 2]
+            alike = unlike == 0
             if alike:  # the usual case: the lights' products are the same for all
                 for k in range(K):
                     x, y, z = L[0, k], L[1, k], L[2, k]
@@ -118,8 +127,6 @@ def _solve_rows(
                         sums[7, j] += r * y
                         sums[8, j] += r * z
                         sums[9, j] += r * r
-                for c in range(6):
-                    sums[c] = products[c]
                 sums[10] = K
             else:
                 for k in range(K):
@@ -142,9 +149,12 @@ def _solve_rows(
             for j in range(count):
                 n[0, j] = n[1, j] = n[2, j] = 0.0
                 s = sums[:, j]
-                if not mask[i, start + j] or not _condition(s[0], s[1], s[2], s[3], s[4], s[5]) <= most:
+                well, m = well_alike, m_alike
+                if not alike:
+                    well = _condition(s[0], s[1], s[2], s[3], s[4], s[5]) <= most
+                    m = inverse(s[0], s[1], s[2], s[3], s[4], s[5])
+                if not (well and mask[i, start + j]):
                     continue
-                m = inverse(s[0], s[1], s[2], s[3], s[4], s[5])
                 bx = m[0] * s[6] + m[3] * s[7] + m[4] * s[8]
                 by = m[3] * s[6] + m[1] * s[7] + m[5] * s[8]
                 bz = m[4] * s[6] + m[5] * s[7] + m[2] * s[8]
@@ -160,19 +170,20 @@ def _solve_rows(
                     across = max(m[0] + m[1] + m[2] - along, 0.0)
                     sigma[i, start + j] = math.degrees(math.atan(math.sqrt(left / (s[10] - 3) * across) / length))
             fitted[:] = 0
+            power[:] = 0
             for k in range(K):
                 x, y, z = np.float32(L[0, k]), np.float32(L[1, k]), np.float32(L[2, k])
-                row, of_row = samples[k, i, start : start + count], weights[k, i, start : start + count]
+                row, of_row = samples[k, i, 3 * start : 3 * (start + count)], weights[k, i, start : start + count]
                 for j in range(count):
                     shading = max(n[0, j] * x + n[1, j] * y + n[2, j] * z, np.float32(0))
                     w = of_row[j] * shading
-                    fitted[0, j] += w * row[j, 0]
-                    fitted[1, j] += w * row[j, 1]
-                    fitted[2, j] += w * row[j, 2]
-                    fitted[3, j] += w * shading
+                    share[3 * j] = share[3 * j + 1] = share[3 * j + 2] = w
+                    power[j] += w * shading
+                for j in range(3 * count):
+                    fitted[j] += share[j] * row[j]
             for j in range(count):
                 if found[i, start + j]:
                     for c in range(3):
                         normal[i, start + j, c] = n[c, j]
-                        if fitted[3, j] > 0:
-                            albedo[i, start + j, c] = max(fitted[c, j] / fitted[3, j], np.float32(0))
+                        if power[j] > 0:
+                            albedo[i, start + j, c] = max(fitted[3 * j + c] / power[j], np.float32(0))

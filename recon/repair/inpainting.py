@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Bools, Capture, Floats
 from recon.registry import Repaired
 from recon.repair.samples import missing, require_alike, weights_of
@@ -103,13 +104,14 @@ def _even(picture: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
 def _inpaint(images: Floats, defects: Bools, capture: Capture, paint: Painter) -> Repaired:
     require_alike(images, defects, capture)
     lost = missing(capture)
-    result = images.copy()
+    result = large.copy(images)
     for k in range(capture.count):
         hole = defects[k] & capture.mask & ~lost[k]
         known = capture.mask & ~defects[k] & ~lost[k]
         if hole.any() and known.any():
             box = _box(hole, known)
             result[k][box] = _fill(images[k][box], hole[box], known[box], capture.mask[box], paint)
+            large.release(images, result)
     return Repaired(images=result, weights=weights_of(capture))
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.capture import Bools, Capture, Floats
 from recon.conditioning import MAX_CONDITION
 from recon.registry import Repaired
@@ -51,7 +52,7 @@ def stack(images: Floats, defects: Bools, capture: Capture) -> Repaired:
     from scipy.ndimage import binary_dilation
 
     require_alike(images, defects, capture)
-    result = images.copy()
+    result = large.copy(images)
     absent = missing(capture)
     lost = _with_source((defects | absent) & capture.mask, capture.mask)
     wanted = lost & ~absent
@@ -75,7 +76,7 @@ def membrane(values: Doubles, lost: Bools, i: Indices, j: Indices, lights: Doubl
     from scipy.sparse import block_diag
     from scipy.sparse.linalg import LinearOperator, cg
 
-    from recon.height.quadratic import hierarchy
+    from recon.height.algebraic import hierarchy
 
     count = len(values)
     known = ~lost[..., None]
