@@ -109,7 +109,7 @@ def evaluate(
     device
         What to compute on: auto, cpu, cuda or cuda:NUMBER.
     output
-        A folder for results.json and a sheet of pictures; an earlier result there is replaced.
+        A folder for results.json, report.html and a sheet of pictures; an earlier result there is replaced.
     json
         Print one JSON object on stdout in place of tables.
     """
@@ -128,7 +128,9 @@ def evaluate(
     from learn.evaluate import evaluate as run_evaluation
     from learn.evaluation_table import text_of
     from learn.removers import remove_by
+    from learn.report import evaluation_page
     from learn.slices import scenes_of
+    from recon.page import write_report
 
     scenes = scenes_of(data, split, limit)
     with _progress("captures") as bar:
@@ -138,6 +140,7 @@ def evaluate(
     if output is not None:
         with writing_folder(output, "evaluation") as folder:
             write_json(folder / "results.json", result)
+            write_report(folder, lambda: evaluation_page(loaded.method, scenes.name, done))
             if done.lines:
                 write_png(folder / "pictures.png", done.sheet())
     print(dumps(result) if json else f"{loaded.method} on {scenes.name}: {text_of(done)}")
@@ -292,7 +295,7 @@ def table1(
     device
         What to compute on: auto, cpu, cuda or cuda:NUMBER.
     output
-        A folder for results.json and table1.png; an earlier result there is replaced.
+        A folder for results.json, report.html and table1.png; an earlier result there is replaced.
     json
         Print one JSON object on stdout in place of the table.
     """
@@ -305,7 +308,9 @@ def table1(
     if limit is not None and limit < 0:
         raise InputError(f"--limit {limit}: must be at least 1, or 0 for all")
     from learn.removers import remover
+    from learn.report import table1_page
     from learn.table1 import table1 as run_table
+    from recon.page import write_report
 
     chosen = {"lime": lime, "specular": specular, "diffuse": diffuse, "group": group}
     removers = {name: remover(name, given, device) for name, given in chosen.items()}
@@ -317,6 +322,7 @@ def table1(
     if output is not None:
         with writing_folder(output, "table") as folder:
             write_json(folder / "results.json", done.plain())
+            write_report(folder, lambda: table1_page(done))
             write_png(folder / "table1.png", done.figure())
     print(dumps(done.plain()) if json else done.text())
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gen.capture import Bools, Capture, Floats, grey
 from gen.errors import InputError
+from gen.sets.set_spec import evenly
 from learn.end_to_end import measured, pooled
 from learn.picture_sheet import picture_sheet
 from learn.slices import SLICES, Scene, Scenes
@@ -102,7 +103,7 @@ def evaluate(
     materials: list[str] = []
     notes: dict[str, int] = {}
     lines: list[list[Picture | None]] = []
-    shown = {round(i * (scenes.count - 1) / max(1, SHOWN - 1)) for i in range(min(SHOWN, scenes.count))}
+    shown = set(evenly(scenes.count, SHOWN))
     pictures = scored = 0
     for number, scene in enumerate(scenes):
         capture = scene.capture

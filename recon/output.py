@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from gen.exr import unstack, write_exr
 from gen.files import write_json, writing_folder
 from gen.images import write_png
-from gen.parts import PARTS
-from recon.compare import Comparison, compare, shape_metrics
+from recon.compare import compare, shape_metrics
 from recon.mesh import write_mesh
 from recon.overview import overview
+from recon.page import write_report
 from recon.pictures import normal_picture, tone, white_of
 from recon.reconstruct import Progress, Shape
+from recon.report import report_page
 
 Floats = NDArray[np.float32]
 
@@ -27,7 +28,8 @@ def write_shape(shape: Shape, folder: Path, progress: Progress | None = None) ->
 
     normal.exr (X Y Z and the uncertainty in degrees), normal.png; height.exr (Z, and the points), height.png (16-bit, its range
     in metrics.json); albedo.exr; overview.png; diffuse/, specular/, matte/ (EXR and a PNG to look at, numbered like the capture's frames);
-    defects/; mesh.ply, mesh.glb; metrics.json; report.html (left out, with a line on stderr, where its package is missing).
+    defects/; mesh.ply, mesh.glb (of large pictures not every pixel, see `recon.mesh.MOST_POINTS`);
+    metrics.json; report.html (left out, with a line on stderr, where its package is missing).
     Raises InputError where the folder cannot be written.
     """
     with writing_folder(folder, "measurement") as temporary:
@@ -46,8 +48,10 @@ def write_into(shape: Shape, folder: Path, progress: Progress | None = None) -> 
         write_mesh(mesh, folder / name, shape.height.unit)
     write_png(folder / "overview.png", overview(comparison))
     metrics = shape_metrics(shape, comparison)
-    metrics["mesh"] = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces), "unit": shape.height.unit}
-    metrics["report"] = _write_report(shape, comparison, metrics, folder)
+    counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces)}
+    metrics["mesh"] = counts | {"unit": shape.height.unit, "every which pixel": shape.mesh_step}
+    del mesh
+    metrics["report"] = write_report(folder, lambda: report_page(shape, comparison, metrics))
     write_json(folder / "metrics.json", metrics)
     return metrics
 
@@ -72,23 +76,12 @@ def _write_layers(shape: Shape, folder: Path) -> None:
     """The remover's layers, where there was one, and the defects."""
     capture, layers = shape.capture, shape.layers
     white = white_of(capture.images, capture.mask)
+    large.release(capture.images)
     found = {"diffuse": layers.diffuse, "specular": layers.specular, "matte": layers.matte}
     for name, stack in found.items() if shape.settings.gloss != "none" else ():
         for k, picture in enumerate(stack if stack is not None else ()):
             write_exr(folder / name / f"{k + 1:03d}.exr", unstack("", "RGB", picture))
             write_png(folder / name / f"{k + 1:03d}.png", tone(picture, white))
+            large.release(stack)
     for k in range(capture.count):
         write_png(folder / "defects" / f"{k + 1:03d}.png", shape.defects.mask[k].astype(np.uint8) * 255)
-
-
-def _write_report(shape: Shape, comparison: Comparison, metrics: dict[str, Any], folder: Path) -> str | None:
-    from importlib.util import find_spec
-
-    if find_spec("jinja2") is None:
-        print(f"degloss: {PARTS['report'].line}", file=sys.stderr)
-        return None
-    from recon.page import write_page
-    from recon.report import report_page
-
-    write_page(folder / "report.html", report_page(shape, comparison, metrics))
-    return "report.html"

@@ -1,12 +1,14 @@
-"""What a page is made of: figures, tables, pictures to leaf through, curves, and the page itself. Data alone; `recon.page` renders it."""
+"""What a page is made of: figures, maps to read, tables, pictures to leaf through, curves. Data alone; `recon.page` renders it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from recon.pictures import Picture
+from numpy.typing import NDArray
+
+from recon.pictures import Bools, Picture, crop_box
 from recon.tables import Column
 
 if TYPE_CHECKING:
@@ -29,24 +31,115 @@ class Bar:
     above: bool = False
 
 
+@dataclass(frozen=True)
+class Key:
+    """A legend of named colours, for maps of kinds. colours: name -> sRGB bytes."""
+
+    colours: Mapping[str, tuple[int, int, int]]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Which pixels of a capture its maps show, each as it is: so that a reading names the capture's own pixel, and a ruler its size.
+
+    rows, columns: slices with start, stop and step. millimetres: between neighbouring pixels of the capture, None where no scale is
+    known or it differs over the view.
+    """
+
+    rows: slice
+    columns: slice
+    millimetres: float | None = None
+
+    @classmethod
+    def around(cls, mask: Bools, largest: int, millimetres: float | None = None, margin: int = 8) -> Window:
+        """The box of a mask (H, W) and `margin` pixels around it, every nth pixel so that neither side exceeds `largest`."""
+        rows, columns = crop_box(mask, margin)
+        step = max(1, -(-max(rows.stop - rows.start, columns.stop - columns.start) // largest))
+        return cls(slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step), millimetres)
+
+    @classmethod
+    def whole(cls, values: NDArray[Any], millimetres: float | None = None) -> Window:
+        """All of an array (H, W, ...)."""
+        return cls(slice(0, values.shape[0], 1), slice(0, values.shape[1], 1), millimetres)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of what is shown."""
+        rows, columns = (len(range(s.start, s.stop, s.step)) for s in (self.rows, self.columns))
+        return rows, columns
+
+    def cut(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What the window shows of an array (H, W, ...)."""
+        return values[self.rows, self.columns]
+
+
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """One picture. image: (H, W, 3) uint8. legend: a `Bar`, a picture (such as `sphere_legend`), or None."""
+    """One picture. image: (H, W, 3) uint8. legend: a `Bar`, a `Key`, a picture (such as `sphere_legend`), or None."""
 
     title: str
     image: Picture
     caption: str = ""
-    legend: Bar | Picture | None = None
+    legend: Bar | Key | Picture | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """A map whose value is read under the pointer or by the arrow keys.
+
+    values: (h, w) in the unit of `bar`, NaN where there is none, as `window` cuts them. Maps of one window in one `Row` are read together,
+    at the same pixel.
+    """
+
+    title: str
+    values: NDArray[Any]
+    bar: Bar
+    window: Window
+    caption: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """Figures side by side, at most `columns` a line (default: all of them up to 5); fewer on a phone."""
+    """Figures and maps side by side, at most `columns` a line (default: all of them up to 5); fewer on a phone."""
 
-    figures: Sequence[Figure]
+    figures: Sequence[Figure | Map]
     columns: int | None = None
     title: str = ""
     caption: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalMap:
+    """Normals to read, and to light anew with the pointer or the arrow keys.
+
+    normal: (h, w, 3) unit, zero where unknown, as `window` cuts it. albedo: (h, w, 3) uint8 sRGB, or None: then it is lit in white only.
+    """
+
+    title: str
+    normal: NDArray[Any]
+    window: Window
+    albedo: Picture | None = None
+    caption: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A surface, and its height along a line that the reader draws.
+
+    height: (h, w) in `unit`, NaN where unknown, as `window` cuts it; true: the same of the true surface, on the same level. quantity: what
+    it is, where it is not the height. relief: (h, w, 3) uint8, the picture to draw on; bar: its colours. Distances along the line are in mm
+    where the window knows them, else in pixels.
+    """
+
+    title: str
+    height: NDArray[Any]
+    relief: Picture
+    window: Window
+    unit: str
+    bar: Bar
+    true: NDArray[Any] | None = None
+    caption: str = ""
+    quantity: str = "height"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +147,8 @@ class Table:
     """A table. Numbers are set right-aligned by their column's format, None and NaN as a dash, text as it is.
 
     columns: `Column`s, or titles alone. rows: one value a column. highlight: indices of rows to stress.
-    reference: indices of rows that are a yardstick (such as the true matte) and are set apart.
+    reference: indices of rows that are a yardstick (such as the true matte) and are set apart. folded: whether it opens on a click,
+    for long ones.
     """
 
     title: str
@@ -63,32 +157,27 @@ class Table:
     caption: str = ""
     highlight: Sequence[int] = ()
     reference: Sequence[int] = ()
+    folded: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Gallery:
-    """Pictures of one view: tabs choose the layer, a slider the frame; the keyboard does both.
+    """Pictures of one view: tabs choose the layer, a slider the frame, a divider wipes between two layers; the keyboard does all three.
 
-    layers: name of the layer -> one (H, W, 3) uint8 picture a frame; every layer has as many. frames: names of the frames.
-    notes: name of the layer -> a line that says what it is (may lack layers).
+    layers: name of the layer -> one (H, W, 3) uint8 picture a frame, None where it has none; every layer has as many, and the pictures
+    of a frame have one size. frames: names of the frames. notes: name of the layer -> a line that says what it is (may lack layers).
+    lights: (frames, 3), the unit vector to the light of each frame, drawn beside the slider; None where the frames are not lights.
+    against: the layer on the divider's other side at first, "" for none. slider: what the slider chooses.
     """
 
     title: str
-    layers: Mapping[str, Sequence[Picture]]
+    layers: Mapping[str, Sequence[Picture | None]]
     frames: Sequence[str] = ()
     caption: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Wipe:
-    """Two pictures of one view, (H, W, 3) uint8 each and of one size, with a divider to drag between them."""
-
-    title: str
-    left: Picture
-    right: Picture
-    names: tuple[str, str] = ("before", "after")
-    caption: str = ""
+    lights: NDArray[Any] | None = None
+    against: str = ""
+    slider: str = "Picture"
 
 
 @dataclass(frozen=True)
@@ -119,7 +208,7 @@ class Note:
     text: str
 
 
-Part = Figure | Row | Table | Gallery | Wipe | Plot | Note
+Part = Figure | Map | Row | NormalMap | Profile | Table | Gallery | Plot | Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +224,8 @@ class Section:
 class Page:
     """The whole page. lead: what was measured and what came out, in a paragraph or two. facts: label -> value, shown at the top.
 
-    mesh: in the camera frame (x right, y up, z to the viewer), its lengths in `mesh_unit` ("m" or "px"). mesh_colours: (V, 3)
-    uint8 sRGB, the albedo of its vertices; None takes the mesh's own vertex colours where it has them. More than
+    mesh: x right, y up, z to the viewer, its lengths in `mesh_unit` ("m", "mm" or "px"). mesh_colours: (V, 3)
+    uint8 sRGB, the colours of its vertices, called `mesh_painted`; None takes the mesh's own vertex colours where it has them. More than
     `recon.page.MAX_TRIANGLES` are clustered for the page (the file beside it keeps them all), and the page says so.
     """
 
@@ -146,6 +235,7 @@ class Page:
     mesh: trimesh.Trimesh | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
     mesh_colours: Picture | None = None
+    mesh_painted: str = "Albedo"
     mesh_unit: str = "m"
     mesh_caption: str = ""
     footer: str = ""

@@ -9,34 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gen import large
 from recon.calibration import table_for
 from recon.compare import Comparison, free_scale, mean_error, true_height
-from recon.metrics import angular_error, fitted_height, height_bytes, normal_bytes
-from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table, Wipe
-from recon.pictures import (
-    Picture,
-    crop_to_mask,
-    difference_picture,
-    difference_scale,
-    error_picture,
-    fit,
-    height_picture,
-    height_range,
-    normal_picture,
-    overlay,
-    relief_picture,
-    signed_picture,
-    sphere_legend,
-    tone,
-    white_of,
-)
+from recon.metrics import angular_error, fitted_height
+from recon.page_parts import Bar, Figure, Gallery, Map, NormalMap, Note, Page, Part, Profile, Row, Section, Table
+from recon.pictures import Picture, height_range, overlay, relief_picture, tone, white_of
 from recon.reconstruct import Shape
+from recon.report_comparison import comparison_section
+from recon.report_maps import MAX_SIDE, error_map, look, thinned, window_of
 from recon.tables import PAPER_COLUMNS, TRUTH_COLUMNS, Column, figure_table, length_text, unit_of
 
 Metrics = Mapping[str, Any]
-
-MAX_SIDE = 512
-"""Longest side of a picture in the page, in pixels."""
 
 MAX_FRAMES = 12
 """The most frames that the page leafs through, spread evenly over the capture: the files beside it hold them all."""
@@ -47,7 +31,7 @@ def report_page(shape: Shape, comparison: Comparison, metrics: Metrics) -> Page:
     capture, height = shape.capture, shape.height
     sections = [_results(comparison, metrics), _pictures(shape), _maps(shape)]
     if len(comparison.rows) > 1:
-        sections.append(_comparison(comparison))
+        sections.append(comparison_section(comparison))
     sections.append(_method(shape, metrics))
     s = shape.settings
     span = metrics["height"]["high"] - metrics["height"]["low"]
@@ -70,9 +54,16 @@ def report_page(shape: Shape, comparison: Comparison, metrics: Metrics) -> Page:
         mesh=shape.mesh(),
         facts=facts,
         mesh_unit=height.unit,
-        mesh_caption="The measured surface. mesh.ply and mesh.glb beside this page hold every triangle.",
+        mesh_caption=_of_mesh(shape.mesh_step),
         footer="Normals: x right, y up, z to the viewer. Radiance is linear; pictures are shown as sRGB at one exposure.",
     )
+
+
+def _of_mesh(step: int) -> str:
+    """What the page says of its mesh. step: see `Shape.mesh_step`."""
+    if step == 1:
+        return "The measured surface. mesh.ply and mesh.glb beside this page hold every triangle."
+    return f"The measured surface. mesh.ply and mesh.glb beside this page have one vertex for {step} x {step} pixels."
 
 
 def _outcome(rows: Metrics) -> str:
@@ -117,18 +108,23 @@ def _pictures(shape: Shape) -> Section:
     names = [capture.names[k] for k in frames]
 
     def shown(stack: NDArray[np.float32]) -> list[Picture]:
-        return [_look(tone(stack[k], white), mask) for k in frames]
+        pictures = [look(tone(stack[k], white), mask) for k in frames]
+        large.release(stack)
+        return pictures
 
     tabs: dict[str, list[Picture]] = {"input": shown(capture.images)}
     notes = {"input": "the pictures as they came"}
     if shape.settings.gloss != "none":
         tabs |= {"gloss removed": shown(layers.diffuse), "specular": shown(layers.specular)}
-        notes |= {"gloss removed": f"what the remover {shape.settings.gloss} leaves", "specular": "what it takes away"}
+        notes |= {
+            "gloss removed": f"what the remover {shape.settings.gloss} leaves: the diffuse layer",
+            "specular": "what it takes away",
+        }
         if layers.matte is not None:
             tabs["matte"] = shown(layers.matte)
             notes["matte"] = "the predicted gloss-free twin, which photometric stereo works on"
     if shape.settings.repair != "none":
-        tabs["defects"] = [_look(overlay(tone(capture.images[k], white), shape.defects.mask[k]), mask) for k in frames]
+        tabs["defects"] = [look(overlay(tone(capture.images[k], white), shape.defects.mask[k]), mask) for k in frames]
         tabs["repaired"] = shown(shape.images)
         notes |= {"defects": "samples that are to be repaired", "repaired": f"after {shape.settings.repair}"}
     for name in ("diffuse", "specular", "matte"):
@@ -136,59 +132,66 @@ def _pictures(shape: Shape) -> Section:
         if stack is not None:
             tabs[f"true {name}"] = shown(stack)
             notes[f"true {name}"] = "rendered truth"
-    first = [Figure(name, picture) for name, picture in zip(names, tabs["input"], strict=True)]
-    caption = "Tabs choose the layer, the slider the light."
+    caption = "Tabs choose the layer, the slider or a press on the disc the light; the divider wipes to the layer beside it."
     if len(names) < capture.count:
         caption += f" {len(names)} of {capture.count} pictures are shown."
-    parts: list[Part] = [Row(first, columns=5, title="The pictures"), Gallery("Layer by layer", tabs, names, caption, notes)]
-    if shape.settings.gloss != "none":
-        after = shown(shape.images)[0]
-        parts.append(Wipe("Before and after", tabs["input"][0], after, ("input", "what was measured"), f"Picture {names[0]}."))
-    return Section("Pictures", "", parts)
+    after = next((name for name in ("gloss removed", "repaired") if name in tabs), "")
+    gallery = Gallery("Layer by layer", tabs, names, caption, notes, capture.lights[frames], after, "Light")
+    return Section("Pictures", "", [gallery])
 
 
 def _maps(shape: Shape) -> Section:
-    normals, height, mask = shape.normals, shape.height.height, shape.capture.mask
-    factor, unit = unit_of(shape.height.unit)
+    capture, window, (factor, unit) = shape.capture, window_of(shape.capture, MAX_SIDE), unit_of(shape.height.unit)
+    normal, albedo, spread, measurable = (
+        window.cut(getattr(shape.normals, name)) for name in ("normal", "albedo", "uncertainty", "measurable")
+    )
+    height = window.cut(shape.height.height) * factor
     low, high = height_range(height)
-    step = (shape.capture.scale.metres_per_pixel or 1.0) if shape.height.unit == "m" else 1.0
-    spread = normals.uncertainty[np.isfinite(normals.uncertainty)]
-    figures = [
-        Figure("Normals", _look(normal_picture(normals.normal, normals.measurable), mask), legend=sphere_legend(96)),
-        Figure(
-            "Height",
-            _look(height_picture(height, low, high, "height"), mask),
-            legend=Bar(low * factor, high * factor, unit, "height", above=True),
-        ),
-        Figure("Shaded relief", _look(relief_picture(height, low, high, step), mask), "Lit from the upper left."),
+    painted = tone(albedo, white_of(albedo[None], measurable))
+    lit = NormalMap(
+        "Normals",
+        np.where(measurable[..., None], normal, 0),
+        window,
+        painted,
+        "Red is to the right, green up, blue to the viewer. Lit: Lambert's law with the measured normals, in white or with the measured "
+        "albedo, without cast shadows; the light follows the pointer." + thinned(window),
+    )
+    figures: list[Figure | Map] = [
+        Map("Height", height, Bar(low, high, unit, "height", "#.3g", above=bool(np.nanmax(height) > high)), window)
     ]
-    white = white_of(normals.albedo[None], normals.measurable)
-    figures.append(Figure("Albedo", _look(tone(normals.albedo, white), mask), "Scaled to its 99th percentile."))
-    if spread.size:
-        top = max(float(np.percentile(spread, 95)), 0.1)
-        picture = _look(error_picture(normals.uncertainty, top=top), mask)
-        figures.append(
-            Figure(
-                "Uncertainty",
-                picture,
-                f"One standard deviation of the normal, {_known_from(shape)}.",
-                Bar(0, top, "deg", "error", ".1f", True),
-            )
+    known = spread[np.isfinite(spread)]
+    if known.size:
+        top = max(float(np.percentile(known, 95)), 0.1)
+        bar = Bar(0, top, "°", "error", ".1f", bool(known.max() > top))
+        figures.append(Map("Uncertainty", spread, bar, window, f"One standard deviation of the normal, {_known_from(shape)}."))
+    if capture.truth.normals is not None:
+        error = angular_error(normal, window.cut(capture.truth.normals))
+        figures.append(error_map("Angle to the true normals", error, window))
+    figures.append(Figure("Albedo", painted, "Scaled to its 99th percentile."))
+    return Section("Shape", "", [lit, Row(figures, columns=min(len(figures), 4)), _profile(shape)])
+
+
+def _profile(shape: Shape) -> Profile:
+    """Measured and, where it is known, true height along a line, in the unit that people read."""
+    capture, height, window = shape.capture, shape.height.height, window_of(shape.capture, MAX_SIDE)
+    caption = (
+        "Drag over the picture to draw a line, or move its ends by the arrow keys (with Shift by ten pixels). The surface is lit from the "
+        "upper left, its colours rise with height. Heights count from the surface's mean."
+    )
+    factor, unit = unit_of(shape.height.unit)
+    shown, truth = window.cut(height) * factor, true_height(capture)
+    true = None
+    if truth is not None:
+        fitted, _ = fitted_height(height, truth, capture.mask, free_scale(shape))
+        level = float(np.nanmean(fitted[capture.mask]))  # the truth counts from the camera, the profile from the surface's mean
+        shown, true, unit = 1e3 * (window.cut(fitted) - level), 1e3 * (window.cut(truth) - level), "mm"
+        caption += " The measured surface is laid on the true one by the best shift" + (
+            " and scale." if free_scale(shape) else "."
         )
-    true = true_height(shape.capture)
-    if true is None:
-        series = [Series("measured", *_profile(height, mask, factor))]
-    else:
-        fitted, _ = fitted_height(height, true, mask, free_scale(shape))
-        unit, level = (
-            "mm",
-            float(np.nanmean(fitted[mask])),
-        )  # the truth counts from the camera, the profile from the surface's mean
-        curves = {"measured": fitted - level, "true": true - level}
-        series = [Series(name, *_profile(curve, mask, 1e3), dashed=name == "true") for name, curve in curves.items()]
-    row = int(np.median(np.nonzero(shape.capture.mask)[0]))
-    plot = Plot(f"Height along row {row + 1}", series, "column, px", f"height, {unit}")
-    return Section("Shape", "", [Row(figures, columns=3), plot])
+    step = window.rows.step * (1e3 * (capture.scale.metres_per_pixel or 1e-3) if unit == "mm" else 1.0)
+    low, high = height_range(shown)
+    bar = Bar(low, high, unit, "height", "#.3g", above=bool(np.nanmax(shown) > high))
+    return Profile("Height along a line", shown, relief_picture(shown, low, high, step), window, unit, bar, true, caption)
 
 
 def _known_from(shape: Shape) -> str:
@@ -198,71 +201,9 @@ def _known_from(shape: Shape) -> str:
     return "as such pixels erred on renders"
 
 
-def _comparison(comparison: Comparison) -> Section:
-    rows, truth, mask = comparison.rows, comparison.capture.truth, comparison.capture.mask
-    parts: list[Part] = []
-    normals = {name: _look(normal_picture(shape.normals.normal, shape.normals.measurable), mask) for name, shape in rows.items()}
-    parts.append(
-        Row([Figure(comparison.label(name), picture) for name, picture in normals.items()], columns=3, title="Normal maps")
-    )
-    low, high = comparison.height_range()
-    factor, unit = unit_of(next(iter(rows.values())).height.unit)
-    heights = {name: height_picture(shape.height.height, low, high) for name, shape in rows.items()}
-    bar = Bar(low * factor, high * factor, unit, "grey")
-    figures = [Figure(comparison.label(name), _look(picture, mask), legend=bar) for name, picture in heights.items()]
-    ruler = "true matte" if comparison.reference else next(iter(rows))
-    caption = f"One scale for all: the range of the heights from the {comparison.label(ruler)}."
-    parts.append(Row(figures, columns=3, title="Height maps", caption=caption))
-    if comparison.reference is not None:
-        parts += _differences(comparison)
-    if truth.normals is not None:
-        errors = {name: angular_error(shape.normals.normal, truth.normals) for name, shape in rows.items()}
-        known = np.concatenate([e[np.isfinite(e)] for e in errors.values()])
-        top = float(np.clip(np.ceil(np.percentile(known, 95)), 1, 90))
-        scale = Bar(0, top, "deg", "error", ".0f", True)
-        figures = [
-            Figure(comparison.label(name), _look(error_picture(e, comparison.capture.mask, top), mask), legend=scale)
-            for name, e in errors.items()
-        ]
-        parts.append(Row(figures, columns=3, title="Angle to the true normals"))
-    true = true_height(comparison.capture)
-    if true is not None:
-        fits = {name: fitted_height(shape.height.height, true, mask, free_scale(shape))[0] for name, shape in rows.items()}
-        gaps = {name: (fitted - true) * 1e3 for name, fitted in fits.items()}
-        top = float(np.nanpercentile(np.abs(np.stack(list(gaps.values()))), 98)) or 1.0
-        scale = Bar(-top, top, "mm", "signed", "+.2f")
-        figures = [
-            Figure(comparison.label(name), _look(signed_picture(gap, top=top), mask), legend=scale) for name, gap in gaps.items()
-        ]
-        parts.append(
-            Row(figures, columns=3, title="Height error", caption="After the best fit. Orange is too high, blue too low.")
-        )
-    return Section("Comparison", "The same solver and integrator on different pictures of the same capture.", parts)
-
-
-def _differences(comparison: Comparison) -> list[Part]:
-    """Difference images against the non-glossy result, as in the paper's Fig. 4.3 to 4.5."""
-    reference = comparison.reference
-    assert reference is not None
-    span, mask = comparison.height_range(), comparison.capture.mask
-
-    def height_rgb(shape: Shape) -> Picture:
-        return np.repeat(height_bytes(shape.height.height, *span)[..., None], 3, axis=2)
-
-    others = {name: shape for name, shape in comparison.rows.items() if shape is not reference}
-    parts: list[Part] = []
-    for title, picture in (("normal maps", lambda shape: normal_bytes(shape.normals.normal)), ("height maps", height_rgb)):
-        pairs = {name: (picture(shape), picture(reference)) for name, shape in others.items()}
-        scale = difference_scale(*pairs.values())
-        figures = [Figure(comparison.label(name), _look(difference_picture(a, b, scale), mask)) for name, (a, b) in pairs.items()]
-        caption = f"Absolute difference of the 8-bit pictures from the non-glossy result, times {scale:g}."
-        parts.append(Row(figures, columns=4, title=f"Difference of {title}", caption=caption))
-    return parts
-
-
 def _method(shape: Shape, metrics: Metrics) -> Section:
     rows: list[list[object]] = [[name, str(value)] for name, value in metrics["settings"].items()]
-    rows += [["frames", ", ".join(metrics["frames"])], ["encoding", metrics["encoding"]]]
+    rows += [["encoding", metrics["encoding"]]]
     rows += [["clipped samples", f"{metrics['clipped percent']:.2f} %"], ["defects", f"{metrics['defects']['percent']:.2f} %"]]
     rows += [[f"time: {name}", f"{value:.2f} s"] for name, value in metrics["seconds"].items()]
     lights = [
@@ -270,16 +211,6 @@ def _method(shape: Shape, metrics: Metrics) -> Section:
         for name, light, power in zip(shape.capture.names, shape.capture.lights, shape.capture.intensities, strict=True)
     ]
     columns = [Column("frame"), *(Column(c, ".4f") for c in "xyz"), *(Column(f"intensity {c}", ".3f") for c in "RGB")]
-    return Section("How it was measured", "", [Table("Settings", ["", ""], rows), Table("Lights", columns, lights)])
-
-
-def _look(picture: Picture, mask: NDArray[np.bool_]) -> Picture:
-    """The part of a picture that shows the object, small enough for the page."""
-    return fit(crop_to_mask(picture, mask, 8), MAX_SIDE)
-
-
-def _profile(height: NDArray[np.float32], mask: NDArray[np.bool_], factor: float) -> tuple[list[float], list[float]]:
-    row = int(np.median(np.nonzero(mask)[0]))
-    columns = np.flatnonzero(mask[row])
-    chosen = np.arange(columns[0], columns[-1] + 1)
-    return [float(c) + 1 for c in chosen], [float(v) for v in height[row, chosen] * factor]
+    return Section(
+        "How it was measured", "", [Table("Settings", ["", ""], rows), Table("Lights", columns, lights, folded=len(lights) > 12)]
+    )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +32,23 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no reference data at {folder}; set DEGLOSS_DATA")
     return folder
+
+
+pytest.register_assert_rewrite("tests.pages")
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A window of headless Chromium with the network cut. Debian's or Google's own: Playwright's download is not needed for one engine."""
+    sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip("no Chromium here; install the package chromium")
+    arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=arguments)
+        yield browser.new_context(offline=True, permissions=["clipboard-read", "clipboard-write"])
+        browser.close()
 
 
 Synthetic = Callable[..., Capture]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from recon.benchmark.summary import label
 from recon.benchmark.units import Unit
-from recon.page_parts import Bar, Figure, Gallery, Note, Page, Part, Plot, Row, Section, Series, Table
+from recon.page_parts import Bar, Figure, Gallery, Map, Note, Page, Part, Plot, Row, Section, Series, Table, Window
 from recon.page_plot import MAX_SERIES
-from recon.pictures import OUTSIDE, Picture, error_picture, sphere_legend
+from recon.pictures import OUTSIDE, Picture, colour_strip, sphere_legend
 from recon.tables import Column
 
 TOP = 30.0
@@ -169,25 +169,31 @@ def _object(
     numbered = [(tuple(str(text).split("\x1f")), i) for i, text in enumerate(held["names"])]
     numbered = sorted((c for c in numbered if c[0] in order), key=lambda c: order[c[0]])[:MAX_MAPS]
     frames = [label(ranking[order[c]], ranking) for c, _ in numbered]
-    layers: dict[str, list[Picture]] = {"normals": [], "height": []}
-    errors: list[Figure] = []
+    layers: dict[str, list[Picture | None]] = {"normals": [], "height": []}
+    errors: list[Map] = []
+    window = Window.whole(mask)
     for (_, i), frame in zip(numbered, frames, strict=True):
         layers["normals"].append(_outside(held[f"n{i}"], mask))
-        layers["height"].append(_outside(np.repeat(held[f"z{i}"][..., None], 3, 2), mask))
+        layers["height"].append(_outside(colour_strip("height")[0][held[f"z{i}"]], mask))
         if f"e{i}" in held:
-            error = held[f"e{i}"].astype(np.float32)
-            known = error[mask & np.isfinite(error)]
-            picture = error_picture(error, mask, TOP)
-            layers.setdefault("error", []).append(picture)
+            error = np.where(mask, held[f"e{i}"].astype(np.float32), np.nan)
+            known = error[np.isfinite(error)]
             title = f"{frame}: {known.mean():.2f}°" if known.size else frame
-            errors.append(Figure(title, picture, legend=Bar(0, TOP, "°", above=bool((known > TOP).any()))))
+            errors.append(Map(title, error, Bar(0, TOP, "°", format=".3g", above=bool((known > TOP).any())), window))
     parts: list[Part] = [
         Row([Figure("brightest picture", held["picture"]), Figure("legend of normals", sphere_legend())], columns=4)
     ]
     if frames:
-        parts.append(Gallery(f"Maps of {unit.name}", layers, frames, "The slider goes through the methods, the best first."))
+        notes = {
+            "normals": "red to the right, green up, blue to the viewer",
+            "height": "dark is low, light is high: one scale for all methods, the range of heights from the non-glossy pictures or, "
+            "without them, of the first method; beyond it, the end's colour",
+        }
+        caption = "The slider goes through the methods, the best first."
+        parts.append(Gallery(f"Maps of {unit.name}", layers, frames, caption, notes, slider="Method"))
     if errors:
-        parts.append(Row(errors[:12], columns=4, title="Angular error", caption="Maps are thinned; the tables use every pixel."))
+        caption = "Maps are thinned: rows, columns and ruler are of the map. The tables use every pixel."
+        parts.append(Row(errors[:12], columns=4, title="Angular error", caption=caption))
     return Section(unit.name, f"{unit.group}, {len(unit.lights)} lights.", parts)
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 from gen.exr import write_exr
 from gen.files import write_json, writing_folder
 from gen.images import write_png
-from gen.parts import PARTS
 from recon.inspection.inspection import Inspection
 from recon.inspection.maps import deviation_map, look, uncertainty_map, verdict_map, with_bar, with_key
+from recon.inspection.report import inspection_page
+from recon.page import write_report
 
 
 def write_inspection(inspection: Inspection, folder: Path) -> dict[str, Any]:
@@ -41,17 +41,6 @@ def write_into(inspection: Inspection, folder: Path) -> dict[str, Any]:
     if spread is not None:
         write_png(folder / "uncertainty.png", with_bar(look(inspection, spread[0]), "uncertainty u, form removed", spread[1]))
     write_png(folder / "verdict.png", with_key(look(inspection, verdict_map(inspection)), "verdict by pixel"))
-    figures["report"] = _write_report(inspection, folder)
+    figures["report"] = write_report(folder, lambda: inspection_page(inspection))
     write_json(folder / "inspection.json", figures)
     return figures
-
-
-def _write_report(inspection: Inspection, folder: Path) -> str | None:
-    if PARTS["report"].look().state != "ok":
-        print(f"degloss: {PARTS['report'].line}", file=sys.stderr)
-        return None
-    from recon.inspection.report import inspection_page
-    from recon.page import write_page
-
-    write_page(folder / "report.html", inspection_page(inspection))
-    return "report.html"

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from recon.inspection.inspection import Inspection
-from recon.inspection.maps import deviation_map, look, uncertainty_map, verdict_map
+from recon.inspection.maps import COLOURS, deviation_map, look, uncertainty_map, verdict_map
 from recon.mesh import surface_mesh
-from recon.page_parts import Figure, Note, Page, Part, Plot, Row, Section, Series, Table
+from recon.page_parts import Figure, Key, Map, Note, Page, Part, Plot, Profile, Row, Section, Series, Table, Window
 from recon.tables import Column
 
 BINS = 101
@@ -39,9 +39,11 @@ def inspection_page(inspection: Inspection) -> Page:
         lead=inspection.sentence(),
         sections=[_verdict(inspection), _maps(inspection), _distribution(inspection), _alignment(inspection)],
         mesh=surface_mesh((measured.points * scale).astype(np.float32), measured.normal.astype(np.float32)),
+        mesh_colours=deviation_map(inspection, "raw")[0][np.isfinite(measured.points).all(axis=2)],
+        mesh_painted="Deviation",
         facts=facts,
         mesh_unit="m" if measured.unit == "mm" else "px",
-        mesh_caption="The surface as measured, with the drift of its form.",
+        mesh_caption="The surface as measured, with the drift of its form. Deviation: the colours of the raw map.",
         footer="Deviations are along the nominal's normal: positive (orange) is too much material, negative (blue) too little.",
     )
 
@@ -53,7 +55,8 @@ def _verdict(inspection: Inspection) -> Section:
         Figure(
             "Verdict by pixel",
             look(inspection, verdict_map(inspection), MAX_SIDE),
-            "Blue passes, yellow cannot be decided, red fails, grey is not judged: edges, steep flanks, what stands alone.",
+            "Not judged are edges, steep flanks, and what stands alone.",
+            Key(COLOURS),
         ),
         Table("How much of it", columns, [[name, 100 * share] for name, share in v.shares.items()]),
     ]
@@ -81,14 +84,16 @@ def _verdict(inspection: Inspection) -> Section:
 def _maps(inspection: Inspection) -> Section:
     d = inspection.deviation
 
-    def figure(title: str, name: str, caption: str) -> Figure:
-        picture, bar = deviation_map(inspection, name)
-        return Figure(title, look(inspection, picture, MAX_SIDE), caption, bar)
+    there = inspection.measured.known | inspection.alignment.nominal.inside
+    window = Window.around(there, MAX_SIDE, inspection.pixel, margin=6)
 
-    figures = [
-        figure("Raw deviation", "raw", "As aligned, with the drift of the form: not judged."),
-        figure("Form removed", "features", f"What lies between {d.shortest:.3g} and {d.cutoff:.3g} mm: this is judged."),
-        figure("The form that was removed", "form", f"Longer than {d.cutoff:.3g} mm: not measurable."),
+    def deviation(title: str, name: str, caption: str) -> Map:
+        return Map(title, window.cut(getattr(d, name)) * inspection.factor, deviation_map(inspection, name)[1], window, caption)
+
+    maps = [
+        deviation("Raw deviation", "raw", "As aligned, with the drift of the form: not judged."),
+        deviation("Form removed", "features", f"What lies between {d.shortest:.3g} and {d.cutoff:.3g} mm: this is judged."),
+        deviation("The form that was removed", "form", f"Longer than {d.cutoff:.3g} mm: not measurable."),
     ]
     for title, name, caption in (
         ("Uncertainty, form removed", "uncertainty", "One standard deviation, from the normals' uncertainty."),
@@ -96,14 +101,26 @@ def _maps(inspection: Inspection) -> Section:
     ):
         found = uncertainty_map(inspection, name)
         if found is not None:
-            figures.append(Figure(title, look(inspection, found[0], MAX_SIDE), caption, found[1]))
+            maps.append(Map(title, window.cut(getattr(d, name)) * inspection.factor, found[1], window, caption))
     text = (
         "The form is removed by a robust Gaussian regression filter of the second order with a cut-off of "
         f"{d.cutoff:.3g} mm, inside each connected area (L-filter, ISO 16610-31), which halves a wave of that length; what is finer "
         f"than {d.shortest:.3g} mm, three pixels, is smoothed (S-filter). The uncertainty is the spread of seeded errors of the normals "
         "that were integrated, aligned and filtered the same way."
     )
-    return Section("Deviation", text, [Row(figures, columns=3)])
+    picture, bar = deviation_map(inspection, "features")
+    along = Profile(
+        "Deviation along a line",
+        window.cut(d.features) * inspection.factor,
+        window.cut(picture),
+        window,
+        inspection.unit,
+        bar,
+        caption="Form removed. Drag over the picture to draw a line, or move its ends by the arrow keys (with Shift by ten pixels).",
+        quantity="deviation",
+    )
+    parts: list[Part] = [Row(maps, columns=3, caption="Read together at the same pixel.")]
+    return Section("Deviation", text, [*parts, *([along] if np.isfinite(along.height).any() else [])])
 
 
 def _distribution(inspection: Inspection) -> Section:

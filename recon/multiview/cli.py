@@ -24,8 +24,8 @@ def multiview(
 ) -> None:
     """Measure an object from several sides: photometric stereo of each view, stereo between them, one mesh.
 
-    Writes mesh.ply, mesh.glb, the depth of every view and metrics.json. Where the captures hold the truth, the mesh is compared with
-    it, beside the meshes with the gloss left in and of the matte twin.
+    Writes mesh.ply, mesh.glb, the depth of every view, metrics.json and report.html. Where the captures hold the truth, the mesh is
+    compared with it, beside the meshes with the gloss left in and of the matte twin.
 
     Parameters
     ----------
@@ -67,4 +67,4 @@ def multiview(
         wanted = chosen(min(view.capture.count for view in every))
         models, figures = compare_rows(every, ball, wanted, voxel, progress=step)
         metrics = write_models(views, ball, models, figures, wanted[0].gloss, folder)
-    print(dumps(metrics) if json else f"{rows_text(figures)}\n\n{output / 'mesh.ply'}")
+    print(dumps(metrics) if json else f"{rows_text(figures)}\n\n{output / (metrics['report'] or 'mesh.ply')}")

@@ -1,4 +1,4 @@
-"""What a measurement from several views leaves on disk: meshes, the depth of each view, metrics.json, all or nothing."""
+"""What a measurement from several views leaves on disk: meshes, the depth of each view, metrics.json, report.html, all or nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from gen.files import write_json
 from gen.images import write_png
 from recon.mesh import write_mesh
 from recon.multiview.measure import Model
+from recon.multiview.report import multiview_page
 from recon.multiview.views import Ball
+from recon.page import write_report
 from recon.pictures import height_range, relief_picture
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ def write_models(
 
     mesh.ply, mesh.glb of the main one, compared/NAME.ply of the others, in metres, object's frame; depth/001.exr, numbered as the views
     are listed in metrics.json: depth.Z and stereo.Z (before its normals refined it) in metres along the optical axis, normal.XYZ in the
-    camera's frame, NaN and zero where unknown; depth/001.png to look at. Raises InputError where the folder cannot be written.
+    camera's frame, NaN and zero where unknown; depth/001.png to look at; report.html (left out, with a line on stderr, where its package
+    is missing). Raises InputError where the folder cannot be written.
     """
     model = models[main]
     mesh = in_metres(model.mesh)
@@ -53,7 +56,7 @@ def write_models(
                 "measured percent": 100 * float(np.isfinite(surface.depth[inside]).mean()),
             }
         )
-    metrics = {
+    metrics: dict[str, Any] = {
         "source": str(source),
         "gloss": main,
         "settings": vars(model.settings),
@@ -63,6 +66,7 @@ def write_models(
         "mesh": {"vertices": len(mesh.vertices), "triangles": len(mesh.faces), "unit": "m"},
         "rows": dict(figures),
     }
+    metrics["report"] = write_report(folder, lambda: multiview_page(source.name or str(source), model, metrics))
     write_json(folder / "metrics.json", metrics)
     return metrics
 

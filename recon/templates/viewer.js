@@ -7,7 +7,7 @@
   const ruler = figure.querySelector(".ruler");
   const fallback = figure.querySelector(".fallback");
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
-  if (!gl || typeof DecompressionStream === "undefined") return;
+  if (!gl) return;
 
   const vertexShader = `#version 300 es
     in vec3 position; in vec3 normal; in vec3 colour;
@@ -46,10 +46,7 @@
   let pending = false;
 
   async function unpack() {
-    const text = atob(figure.querySelector(".mesh-data").textContent);
-    const bytes = Uint8Array.from(text, (c) => c.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const buffer = await new Response(stream).arrayBuffer();
+    const buffer = await packed.inflate(figure.querySelector(".mesh-data"));
     const n = header.vertices;
     let offset = 0;
     const plane = (Type, length) => {

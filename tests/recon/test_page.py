@@ -1,4 +1,4 @@
-"""The offline page: one valid file that asks for nothing, trusts no text, and works in a browser."""
+"""The offline page: one valid file that asks for nothing, trusts no text, and holds the values that it was given."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import html.parser
 import io
 import json
 import re
-import shutil
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +20,37 @@ from PIL import Image
 from gen.errors import InputError
 from recon import page as pages
 from recon.page import render_page, write_page
+from recon.page_light import places, words
 from recon.page_mesh import cluster, pack
-from recon.page_parts import Bar, Figure, Gallery, Note, Page, Plot, Row, Section, Series, Table, Wipe
+from recon.page_parts import (
+    Bar,
+    Figure,
+    Gallery,
+    Key,
+    Map,
+    NormalMap,
+    Note,
+    Page,
+    Plot,
+    Profile,
+    Row,
+    Section,
+    Series,
+    Table,
+    Window,
+)
 from recon.page_plot import ticks
+from recon.page_values import LEVELS, OCTAHEDRON, pack_normals, pack_values, reading_step
 from recon.pictures import sphere_legend
 from recon.tables import Column
 
 HOSTILE = (
     """<script>document.title='owned'</script><img src=x onerror="document.title='owned'">"'&amp;{{ 7*7 }}</script></style>"""
 )
+
+
+VALUES = np.add.outer(np.arange(30.0), np.arange(40.0)) / 8
+SMALL = Window(slice(2, 28, 1), slice(3, 37, 1), 0.5)
 
 
 def flat(level: int, size: int = 48) -> np.ndarray:
@@ -65,9 +85,28 @@ def full_page(name: str = "bolt.png", mesh: trimesh.Trimesh | None = None) -> Pa
             name,
             highlight=[1],
             reference=[2],
+            folded=True,
         ),
-        Gallery(name, {name: [flat(30), flat(120)], "matte": [flat(70), flat(170)]}, [name, "two"], name, {name: name}),
-        Wipe(name, flat(40), flat(220), (name, name), name),
+        Row(
+            [
+                Map(name, SMALL.cut(VALUES), Bar(0, 9, name), SMALL, name),
+                Figure(name, flat(50), name, Key({name: (200, 30, 20)})),
+            ],
+            title=name,
+        ),
+        NormalMap(name, np.broadcast_to([0.0, 0.6, 0.8], (26, 34, 3)), SMALL, flat(90, 34)[:26], name),
+        Profile(
+            name, SMALL.cut(VALUES), flat(60, 34)[:26], SMALL, name, Bar(0, 9, name, "height"), SMALL.cut(VALUES) + 1, name, name
+        ),
+        Gallery(
+            name,
+            {name: [flat(30), flat(120)], "matte": [flat(70), flat(170)]},
+            [name, "two"],
+            name,
+            {name: name},
+            np.array([[0, 0, 1], [1, 0, 1]]),
+            "matte",
+        ),
         Plot(
             name,
             [Series(name, [0, 1, 2], [1.0, float("nan"), 3.0]), Series("truth", [0, 2], [1.0, 3.0], dashed=True)],
@@ -160,6 +199,8 @@ def test_numbers_are_formatted_and_kept_whole_for_csv() -> None:
     assert [a["data-plain"] for a in cells] == ["-3.14159", "51321", "", ""]
     assert [a.get("class") for a in cells] == ["n", "n", "n", "n"]
     assert reader.bodies["td"] == ["−3.14", "51\u202f321", "–", "–"]
+    tiny = Table("t", ["name", Column("gain", "+.2f"), Column("gap", ".2f")], [["a", -0.001, -0.001]])
+    assert Reader(render_page(Page("p", sections=[Section("s", parts=[tiny])]))).bodies["td"] == ["0.00", "0.00"]
 
 
 @pytest.mark.parametrize(
@@ -169,7 +210,13 @@ def test_numbers_are_formatted_and_kept_whole_for_csv() -> None:
         (Gallery("g", {"a": [flat(1)], "b": []}), "same number of pictures"),
         (Gallery("g", {}), "same number of pictures"),
         (Gallery("g", {"a": [flat(1)]}, ["x", "y"]), "2 names for 1 frames"),
-        (Wipe("w", flat(1), flat(1, 20)), "differ in size"),
+        (Gallery("g", {"a": [flat(1)], "b": [flat(1, 20)]}), "differ in size"),
+        (Gallery("g", {"a": [flat(1)]}, lights=np.eye(3)), "3 lights for 1 frames"),
+        (Map("m", VALUES, Bar(0, 1), SMALL), r"shape \(30, 40\), its window shows \(26, 34\)"),
+        (Map("m", SMALL.cut(VALUES), Bar(1, 1), SMALL), "must rise"),
+        (Map("m", SMALL.cut(VALUES), Bar(0, 0), SMALL), "must rise"),
+        (NormalMap("n", SMALL.cut(VALUES), SMALL), r"its window shows \(26, 34, 3\)"),
+        (Profile("p", SMALL.cut(VALUES) * np.nan, flat(9), SMALL, "mm", Bar(0, 1)), "has no height"),
         (Row([]), "is empty"),
         (Row([Figure("f", flat(1))], columns=9), "1 to 6 columns"),
         (Figure("f", np.zeros((4, 4))), r"must be \(H, W, 3\) uint8"),
@@ -199,6 +246,83 @@ def test_pictures_in_the_page_are_the_pictures_given() -> None:
     assert source is not None
     with Image.open(io.BytesIO(base64.b64decode(source.split(",")[1]))) as opened:
         np.testing.assert_array_equal(np.asarray(opened), picture)
+
+
+def undo(data: bytes, rows: int, columns: int) -> np.ndarray:
+    """Codes of packed values, from the format's description."""
+    low, high = np.frombuffer(zlib.decompress(data), np.uint8).astype(np.uint16).reshape(2, rows, columns)
+    steps = low + 256 * high
+    steps[:, 0] = np.cumsum(steps[:, 0], dtype=np.uint16)
+    return np.cumsum(steps, axis=1, dtype=np.uint16)
+
+
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_values_come_back_to_within_half_a_step(step: float | None) -> None:
+    rng = np.random.default_rng(2)
+    values = rng.normal(0, 20, (23, 31))
+    values[rng.random(values.shape) < 0.2] = np.nan
+    packed = pack_values(values, step)
+    codes = undo(packed.data, *values.shape)
+    back = np.where(codes > 0, packed.lo + (codes.astype(float) - 1) * packed.step, np.nan)
+    np.testing.assert_allclose(back, values, atol=0.50001 * packed.step)
+    assert packed.step == step or (step is None and packed.step == pytest.approx(np.ptp(values[codes > 0]) / (LEVELS - 1)))
+
+
+def test_a_step_too_fine_for_16_bits_grows_by_tens() -> None:
+    assert pack_values(np.array([[0.0, 9000.0]]), 0.01).step == pytest.approx(1.0)
+    assert pack_values(np.full((2, 2), np.nan)).step > 0
+    assert pack_values(np.full((2, 2), 3.0)).lo == 3
+
+
+def test_readings_have_four_digits() -> None:
+    assert [reading_step(0, hi) for hi in (30, 5, 0.4)] == pytest.approx([0.01, 0.001, 0.0001])
+    assert reading_step(-12.0, 3.0) == pytest.approx(0.01)
+
+
+def test_normals_come_back_within_the_stated_angle() -> None:
+    rng = np.random.default_rng(3)
+    normal = rng.normal(size=(50, 60, 3))
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    normal[0, :4] = [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 0, 0]]
+    codes = undo(pack_normals(normal), 100, 60).astype(float)
+    x, y = 2 * (codes.reshape(2, 50, 60) - 1) / OCTAHEDRON - 1
+    z = 1 - abs(x) - abs(y)
+    x, y = np.where(z < 0, (1 - abs(y)) * np.where(x < 0, -1, 1), x), np.where(z < 0, (1 - abs(x)) * np.where(y < 0, -1, 1), y)
+    back = np.stack([x, y, z], -1) / np.linalg.norm(np.stack([x, y, z], -1), axis=2, keepdims=True)
+    known = codes.reshape(2, 50, 60)[0] > 0
+    assert not known[0, 3]
+    assert known.sum() == 50 * 60 - 1
+    angle = np.degrees(2 * np.arcsin(np.linalg.norm((back - normal)[known], axis=1) / 2))
+    assert angle.max() < 0.06
+
+
+def test_a_window_shows_pixels_as_they_are() -> None:
+    mask = np.zeros((300, 500), bool)
+    mask[50:250, 40:460] = True
+    window = Window.around(mask, 128, 0.1)
+    values = np.arange(300 * 500).reshape(300, 500)
+    cut = window.cut(values)
+    assert max(cut.shape) <= 128
+    assert cut[5, 7] == values[window.rows.start + 5 * window.rows.step, window.columns.start + 7 * window.columns.step]
+    assert window.rows.start <= 50
+    assert window.columns.stop >= 460
+    assert cut.shape == window.shape
+    assert Window.whole(values).shape == values.shape
+
+
+@pytest.mark.parametrize(
+    ("light", "said", "place"),
+    [
+        ((0, 0, 2), "along the view", (0, 0)),
+        ((1, 0, 1), "45° off the view, from the right", (0.7071, 0)),
+        ((-1, 1, 0), "90° off the view, from the upper left", (-0.7071, -0.7071)),
+        ((0.1, -1, 0.2), "79° off the view, from the bottom", (0.0976, 0.9759)),
+        ((1, 0, -1), "135° off the view, from the right", (1, 0)),
+    ],
+)
+def test_lights_are_placed_as_the_camera_sees_them(light: tuple[float, ...], said: str, place: tuple[float, float]) -> None:
+    assert words(light).startswith(said)
+    assert places([np.array(light)])[0] == pytest.approx(place, abs=1e-3)
 
 
 def unpack(packed: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
@@ -277,197 +401,6 @@ def test_ticks_are_round_and_span_the_range(lo: float, hi: float) -> None:
     mantissa = steps[0] / 10 ** np.floor(np.log10(steps[0]) + 1e-9)
     assert min(abs(mantissa - m) for m in (1, 2, 5, 10)) < 1e-6
     np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
-
-
-# ---- in a browser ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium: Debian's or Google's own, as Playwright's download is not needed for one engine."""
-    sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
-    if path is None:
-        pytest.skip("no Chromium here; install the package chromium")
-    arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=arguments)
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
-    """A function that opens a page with the network cut; at the end no complaint and no request may have been seen."""
-    contexts, trouble = [], []
-
-    def load(page: Page, wait: bool = True, **options: Any) -> Any:
-        path = tmp_path / "report.html"
-        write_page(path, page)
-        context = browser.new_context(offline=True, viewport={"width": 1000, "height": 900}, **options)
-        contexts.append(context)
-        tab = context.new_page()
-        tab.on("console", lambda message: trouble.append(message.text) if message.type in ("error", "warning") else None)
-        tab.on("pageerror", lambda error: trouble.append(str(error)))
-        tab.on(
-            "request",
-            lambda request: trouble.append(request.url) if not request.url.startswith(("data:", "file:", "blob:")) else None,
-        )
-        tab.goto(path.as_uri())
-        if wait:
-            tab.wait_for_selector(".stage[data-state=drawn]", timeout=20_000)
-        return tab
-
-    yield load
-    for context in contexts:
-        context.close()
-    # Software rendering makes Chromium remark on its own driver; that is not the page's doing.
-    assert not [line for line in trouble if "GPU stall" not in line]
-
-
-def shot(target: Any) -> np.ndarray:
-    """What a tab or an element of it looks like, (H, W, 3), once pending frames are drawn."""
-    getattr(target, "page", target).wait_for_timeout(150)
-    with Image.open(io.BytesIO(target.screenshot())) as picture:
-        return np.asarray(picture.convert("RGB"), dtype=int)
-
-
-@pytest.mark.browser
-def test_the_mesh_is_drawn_and_turns(opened: Any) -> None:
-    tab = opened(full_page(mesh=dome()))
-    stage = tab.locator(".stage")
-    front = shot(stage)
-    height, width, _ = front.shape
-    middle = front[height // 2 - 40 : height // 2 + 40, width // 2 - 40 : width // 2 + 40]
-    assert middle.std() > 2  # shaded, not one colour
-    assert abs(middle.mean() - front[20:60, 20:60].mean()) > 20  # and not the background
-    assert not tab.locator(".fallback").is_visible()
-
-    box = stage.bounding_box()
-    tab.mouse.move(box["x"] + width / 2, box["y"] + height / 2)
-    tab.mouse.down()
-    tab.mouse.move(box["x"] + width / 2 + 90, box["y"] + height / 2 + 30, steps=4)
-    tab.mouse.up()
-    assert abs(shot(stage) - front).mean() > 1
-
-    stage.press("Home")
-    assert abs(shot(stage) - front)[8:-8, 8:-8].max() <= 2  # all but the focus ring
-    stage.press("ArrowRight")
-    assert abs(shot(stage) - front).mean() > 0.3
-
-
-@pytest.mark.browser
-def test_the_mesh_starts_with_the_cameras_view_and_its_colours(opened: Any) -> None:
-    tab = opened(full_page(mesh=dome()))
-    tab.get_by_role("button", name="Albedo").click()
-    picture = shot(tab.locator(".stage"))
-    y, x = picture.shape[0] // 2, picture.shape[1] // 2
-    left, right = picture[y, x - 60], picture[y, x + 60]
-    assert right[0] > right[2] + 60  # red is to the right, as in the mesh
-    assert left[2] > left[0] + 60
-    tab.get_by_role("button", name="Normals").click()
-    picture = shot(tab.locator(".stage"))
-    np.testing.assert_allclose(picture[y, x], [128, 128, 255], atol=8)
-    assert picture[y - 100, x][1] > 150  # up is green
-    assert picture[y, x + 100][0] > 150  # right is red
-
-
-@pytest.mark.browser
-def test_the_ruler_measures_the_mesh(opened: Any) -> None:
-    tab = opened(full_page(mesh=dome()))
-    tab.get_by_role("button", name="Normals").click()
-    picture = shot(tab.locator(".stage"))
-    row = picture[picture.shape[0] // 2]
-    width = np.ptp(np.flatnonzero(row.max(axis=1) - row.min(axis=1) > 30)) + 1  # the dome is 10 mm wide
-    length = tab.locator(".ruler i").bounding_box()["width"]
-    number, unit = tab.locator(".ruler span").inner_text().split()
-    assert unit == "mm"
-    assert length / float(number) == pytest.approx(width / 10, rel=0.04)
-
-
-@pytest.mark.browser
-def test_tabs_and_slider_work_by_keyboard(opened: Any) -> None:
-    tab = opened(full_page(), wait=False)
-    picture = tab.locator(".gallery .frames img:visible")
-
-    def level() -> int:
-        return int(shot(picture)[300, 300, 0])
-
-    assert level() == 30
-    first = tab.get_by_role("tab").first
-    first.focus()
-    tab.keyboard.press("ArrowRight")
-    assert tab.get_by_role("tab", selected=True).inner_text() == "matte"
-    assert level() == 70
-    tab.get_by_role("slider", name="Picture").focus()
-    tab.keyboard.press("ArrowRight")
-    assert level() == 170
-    assert tab.locator(".gallery output").inner_text() == "2 of 2: two"
-    tab.get_by_role("tab", name="matte").focus()
-    tab.keyboard.press("Home")
-    assert level() == 120
-
-
-@pytest.mark.browser
-def test_the_divider_shows_more_of_one_picture(opened: Any) -> None:
-    tab = opened(full_page(), wait=False)
-    pair = tab.locator(".pair")
-
-    def share_of_left() -> float:
-        return float((shot(pair)[100, :, 0] < 100).mean())
-
-    assert share_of_left() == pytest.approx(0.5, abs=0.02)
-    box = pair.bounding_box()
-    tab.mouse.move(box["x"] + box["width"] * 0.5, box["y"] + 100)
-    tab.mouse.down()
-    tab.mouse.move(box["x"] + box["width"] * 0.8, box["y"] + 100, steps=3)
-    tab.mouse.up()
-    assert share_of_left() == pytest.approx(0.8, abs=0.02)
-    tab.locator(".pair input").press("Home")
-    assert share_of_left() < 0.03
-
-
-@pytest.mark.browser
-def test_a_figure_enlarges_and_closes(opened: Any) -> None:
-    tab = opened(full_page(), wait=False)
-    tab.locator(".enlarge").first.click()
-    assert tab.locator("dialog img").bounding_box()["width"] > 500
-    tab.keyboard.press("Escape")
-    assert not tab.locator("dialog").is_visible()
-
-
-@pytest.mark.browser
-def test_a_table_is_copied_as_csv(opened: Any) -> None:
-    table = Table("t", ["name", Column("error", ".1f", "°")], [['a, "b"', 1.25], ["c", None]])
-    tab = opened(Page("p", sections=[Section("s", parts=[table])]), wait=False, permissions=["clipboard-read", "clipboard-write"])
-    tab.locator(".csv").click()
-    tab.locator(".csv", has_text="Copied").wait_for()
-    assert tab.evaluate("navigator.clipboard.readText()") == 'name,error (°)\r\n"a, ""b""",1.25\r\nc,\r\n'
-
-
-@pytest.mark.browser
-@pytest.mark.parametrize("width", [360, 768, 1280])
-def test_nothing_spills_sideways_and_hostile_names_do_not_run(opened: Any, width: int) -> None:
-    page = full_page(HOSTILE + "x" * 200, dome(12))
-    tab = opened(page)
-    tab.set_viewport_size({"width": width, "height": 800})
-    assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert tab.title() != "owned"
-
-
-@pytest.mark.browser
-def test_dark_mode_is_dark(opened: Any) -> None:
-    light, dark = (shot(opened(Page("p", "text"), wait=False, color_scheme=scheme)).mean() for scheme in ("light", "dark"))
-    assert light > 230
-    assert dark < 50
-
-
-@pytest.mark.browser
-def test_without_scripts_there_is_a_word_about_the_mesh(opened: Any) -> None:
-    tab = opened(full_page(mesh=dome()), wait=False, java_script_enabled=False)
-    assert "WebGL" in tab.locator(".fallback").inner_text()
-    assert tab.locator(".gallery img:visible").count() == 1
-    assert not tab.locator(".controls").is_visible()
 
 
 def test_mesh_header_is_json() -> None:
