@@ -127,14 +127,11 @@ LACKS = {"core": [(RENDER, "bpy"), (PREDICT, "torch")], "render": [(PREDICT, "to
 
 def photographs(folder: Path) -> Path:
     """A folder of five PNG pictures and their lights, as a user has them."""
-    from gen.convert import convert
-    from gen.formats.render_folder import write_files
+    from gen.convert.png16 import write_png16
     from tests.conftest import synthetic_capture
 
-    (folder / "capture").mkdir()
-    capture = synthetic_capture("sphere", 48)
-    write_files(capture, folder / "capture", capture.mask.astype("float32"), False)
-    convert(folder / "capture", folder / "photos", "png16")
+    (folder / "photos").mkdir()
+    write_png16(synthetic_capture("sphere", 48), folder / "photos")
     return folder / "photos"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.benchmark.summary import label
+from recon.benchmark.summary import counted, label
 from recon.benchmark.units import Unit
 from recon.page_parts import Bar, Figure, Gallery, Map, Note, Page, Part, Plot, Row, Section, Series, Table, Window
 from recon.page_plot import MAX_SERIES
@@ -41,7 +41,7 @@ def benchmark_page(name: str, summary: Mapping[str, Any], maps: Iterable[tuple[U
     if asked:
         best = asked[0]
         lead = (
-            f"{summary['units']} measurements of {summary['captures']} captures. Of the methods that need no truth, "
+            f"{counted(summary['units'], 'measurement')} of {counted(summary['captures'], 'capture')}. Of the methods that need no truth, "
             f"{', '.join(best[k] for k in ('gloss', 'repair', 'normals_by', 'height_by'))} errs least: {best['normals']:.2f}° on average."
         )
     sections = [Section("Ranking", _explained(), [_ranking(ranking), *_left_out(summary)])]

@@ -140,7 +140,7 @@ def markdown(name: str, summary: Mapping[str, Any]) -> str:
     lines = [
         f"# {name}",
         "",
-        f"{summary['units']} measurements of {summary['captures']} captures; mean angular error in degrees",
+        f"{counted(summary['units'], 'measurement')} of {counted(summary['captures'], 'capture')}; mean angular error in degrees",
         "",
     ]
     columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
@@ -184,3 +184,8 @@ def _between(value: float | None, interval: Sequence[float] | None, sign: int = 
         return text
     low, high = sorted(sign * v + 0.0 for v in interval)
     return f"{text} ({low:.2f} to {high:.2f})"
+
+
+def counted(count: int, noun: str) -> str:
+    """A number and its noun: "1 capture", "2 captures"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
