@@ -52,7 +52,7 @@ class Worker:
         self._log = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115 - bpy prints here as it likes; closed in `kill`
         self._scratch = tempfile.TemporaryDirectory(
             prefix="degloss-blender-", dir=scratch, ignore_cleanup_errors=True
-        )  # Blender leaves a folder of its own in TMPDIR
+        )  # Blender leaves a folder of its own in TMPDIR, and empty ones in the places for caches and settings
         jobs_out, self._to = os.pipe()
         self._from, replies_in = os.pipe()
         try:
@@ -62,7 +62,7 @@ class Worker:
                 stdout=self._log,
                 stderr=self._log,
                 pass_fds=(jobs_out, replies_in),
-                env=_environment(blender) | {"TMPDIR": self._scratch.name},
+                env=_environment(blender) | dict.fromkeys(("TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), self._scratch.name),
                 start_new_session=True,  # so that a launcher's children can be ended with it, and Ctrl-C is ours to handle
             )
         except OSError as error:
