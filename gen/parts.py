@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -20,6 +21,9 @@ from gen.errors import MissingPart
 
 SYSTEM_LIBRARIES = "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libxext6 libgl1"
 """Debian packages that the bpy module loads and a bare container lacks."""
+
+BLENDERS_PLACES = ("TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME")
+"""Environment variables of the folders in which Blender leaves files of its own when it starts."""
 
 APT_LINE = f"apt-get install -y {SYSTEM_LIBRARIES}"
 
@@ -94,9 +98,10 @@ def _modules(*names: str) -> Callable[[], Finding]:
 def _bpy() -> Finding:
     if find_spec("bpy") is None:
         return Finding("missing", "no package bpy")
-    run = subprocess.run(
-        [sys.executable, "-c", "import bpy; print('bpy', bpy.app.version_string)"], capture_output=True, text=True, timeout=120
-    )
+    code = "import bpy; print('bpy', bpy.app.version_string)"
+    with tempfile.TemporaryDirectory(prefix="degloss-", ignore_cleanup_errors=True) as scratch:
+        environment = os.environ | dict.fromkeys(BLENDERS_PLACES, scratch)
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
     if run.returncode == 0:
         return Finding("ok", (run.stdout.strip().splitlines() or ["bpy"])[-1])
     return Finding("missing", (run.stderr.strip().splitlines() or ["import bpy fails"])[-1])

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from gen.errors import InputError
+from gen.parts import BLENDERS_PLACES
 
 
 class WorkerLost(Exception):
@@ -52,7 +53,7 @@ class Worker:
         self._log = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115 - bpy prints here as it likes; closed in `kill`
         self._scratch = tempfile.TemporaryDirectory(
             prefix="degloss-blender-", dir=scratch, ignore_cleanup_errors=True
-        )  # Blender leaves a folder of its own in TMPDIR, and empty ones in the places for caches and settings
+        )  # for what Blender leaves
         jobs_out, self._to = os.pipe()
         self._from, replies_in = os.pipe()
         try:
@@ -62,7 +63,7 @@ class Worker:
                 stdout=self._log,
                 stderr=self._log,
                 pass_fds=(jobs_out, replies_in),
-                env=_environment(blender) | dict.fromkeys(("TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), self._scratch.name),
+                env=_environment(blender) | dict.fromkeys(BLENDERS_PLACES, self._scratch.name),
                 start_new_session=True,  # so that a launcher's children can be ended with it, and Ctrl-C is ours to handle
             )
         except OSError as error:

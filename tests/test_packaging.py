@@ -184,3 +184,13 @@ def test_compiled_solvers_run_where_nothing_can_be_written(unpacked: Path) -> No
     code = "from recon.normals.compiled import compiled\nprint(compiled(lambda x: x + 1)(1))"
     run = subprocess.run([sys.executable, "-c", code], env=environment, cwd=unpacked, capture_output=True, text=True)
     assert run.stdout.split() == ["2"], run.stderr
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("command", [["doctor"], ["gen", "render", "small-sphere", "-o", "made"]], ids=["doctor", "render"])
+def test_blender_leaves_nothing_in_the_home(command: list[str], tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
+    environment = {**kept, "HOME": str(tmp_path / "home"), "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-m", "degloss", *command], env=environment, cwd=tmp_path, capture_output=True)
+    assert not list((tmp_path / "home").iterdir())
