@@ -1,7 +1,7 @@
 # make demo    .venv, pinned installs, then the main job: render, remove the gloss, measure, report
 # make test    the whole test suite on the same .venv
 # make check   formatting, lint and types
-# make bench   every figure that the README quotes
+# make bench   figures of README and docs (the tables of networks and of sets name their own commands)
 # make soak    long campaigns (none are needed to use the software)
 
 PYTHON ?= python3.11

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -19,6 +20,7 @@ app = App(
     name="degloss",
     help="A few pictures of a shiny thing under known lights become its shape.",
     help_format="plaintext",
+    version=lambda: version("degloss"),
     version_flags=["--version"],
     exit_on_error=False,
     print_error=False,
@@ -73,7 +75,7 @@ def main() -> None:
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
-        if _importing(frame):  # Python swallows or repeats an interrupt there: once more when the module is whole
+        if _swallowed(frame):  # once more, a moment later
             signal.setitimer(signal.ITIMER_REAL, 0.02)
             return
         raise KeyboardInterrupt
@@ -114,10 +116,11 @@ def _stranger() -> str | None:
     return None
 
 
-def _importing(frame: FrameType | None) -> bool:
-    """Whether a module is being imported somewhere up the stack."""
+def _swallowed(frame: FrameType | None) -> bool:
+    """Whether an interrupt here might be lost, or printed and lost: while a module is imported, and in what LLVM calls back."""
     while frame is not None:
-        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+        name = frame.f_globals.get("__name__") or ""
+        if name == "importlib._bootstrap" or name.startswith("llvmlite."):
             return True
         frame = frame.f_back
     return False

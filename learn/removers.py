@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gen import large
-from gen.capture import LUMA, Bools, Capture, Fault, Floats
+from gen.capture import LUMA, Bools, Capture, Floats
 from gen.capture_lights import WITHOUT_DIRECTION
 from gen.errors import InputError
+from recon.gloss import workable
 from recon.registry import Layers, Remover
 
 if TYPE_CHECKING:
@@ -105,13 +106,13 @@ def remover(method: str, weights: str | Path | None = None, device: str = "cpu")
 
 def remove_by(loaded: Loaded, capture: Capture) -> Layers:
     """The layers that loaded weights make of a capture, in its own units. Raises InputError as `separate` does."""
-    there = capture.mask & ((capture.faults & Fault.MISSING) == 0)
+    there = workable(capture)
     known = not any(kind in WITHOUT_DIRECTION for kind in capture.light_kinds)
     shown = Shown(
         capture.images,
         capture.intensities.astype(np.float32),
         capture.mask,
-        (capture.faults == 0),
+        capture.valid,
         capture.lights if known else None,
     )
     return _layers(loaded, shown, capture.source, there)

@@ -1,4 +1,4 @@
-"""Every figure that the README quotes, by one command: `python -m recon.bench [--json]` (or `make bench`).
+"""Figures that README and docs quote, by one command: `python -m recon.bench [--json]` (or `make bench`).
 
 Least squares on the reference photographs, the comparison of the demo's presets, the repair, and the time of each step on a stack of five
 pictures of 512x612. Figures that need a part which is not there (Blender, the reference data) are left out and named.

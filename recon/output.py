@@ -49,7 +49,7 @@ def write_into(shape: Shape, folder: Path, progress: Progress | None = None) -> 
     write_png(folder / "overview.png", overview(comparison))
     metrics = shape_metrics(shape, comparison)
     counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.faces)}
-    metrics["mesh"] = counts | {"unit": shape.height.unit, "every which pixel": shape.mesh_step}
+    metrics["mesh"] = counts | {"unit": shape.height.unit, "pixels from point to point": shape.mesh_step}
     del mesh
     metrics["report"] = write_report(folder, lambda: report_page(shape, comparison, metrics))
     write_json(folder / "metrics.json", metrics)

@@ -65,7 +65,12 @@ def render_page(page: Page) -> str:
     )
     style = _template("page.css")
     kinds = {type(figure) for section in page.sections for part in section.parts for figure in _figures(part)}
-    scripts = {"normals.js": NormalMap in kinds, "maps.js": Map in kinds, "profile.js": Profile in kinds, "viewer.js": page.mesh}
+    scripts = {
+        "normals.js": NormalMap in kinds,
+        "maps.js": Map in kinds,
+        "profile.js": Profile in kinds,
+        "viewer.js": page.mesh is not None,
+    }
     wanted = ["packed.js", "page.js", *(name for name, used in scripts.items() if used)]
     script = "\n".join(_template(name) for name in wanted)
     policy = (

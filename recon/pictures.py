@@ -90,11 +90,6 @@ def height_range(height: NDArray[Any], mask: Bools | None = None) -> tuple[float
     return (lo, hi) if hi > lo else (lo - 0.5, lo + 0.5)
 
 
-def height_picture(height: NDArray[Any], lo: float, hi: float, colours: str = "grey") -> Picture:
-    """Heights (H, W) from `lo` (dark) to `hi` (light); clipped beyond, `OUTSIDE` where not finite. Grey as in the paper."""
-    return _mapped(height, np.isfinite(height), lo, hi, colours)
-
-
 def relief_picture(height: NDArray[Any], lo: float, hi: float, metres_per_pixel: float = 1.0, strength: float = 1.0) -> Picture:
     """Shaded relief (H, W, 3) under the colours of height, so that small form is seen that a height map hides.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen import large
+from gen.sets.set_spec import evenly
 from recon.calibration import table_for
 from recon.compare import Comparison, free_scale, mean_error, true_height
 from recon.metrics import angular_error, fitted_height
@@ -104,7 +105,7 @@ def _results(comparison: Comparison, metrics: Metrics) -> Section:
 def _pictures(shape: Shape) -> Section:
     capture, layers, mask = shape.capture, shape.layers, shape.capture.mask
     white = white_of(capture.images, mask)
-    frames = np.unique(np.linspace(0, capture.count - 1, min(capture.count, MAX_FRAMES)).round().astype(int))
+    frames = evenly(capture.count, MAX_FRAMES)
     names = [capture.names[k] for k in frames]
 
     def shown(stack: NDArray[np.float32]) -> list[Picture]:

@@ -187,6 +187,21 @@ def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_pat
         assert not (tmp_path / "out").exists() or (tmp_path / "out" / "report.html").is_file()
 
 
+def test_an_interrupt_in_what_llvm_calls_back_is_not_lost() -> None:
+    """Python prints an exception of a ctypes callback and goes on; compiling solvers is full of such."""
+    code = (
+        "import ctypes, os, signal, sys, time, types, degloss\n"
+        "module = types.ModuleType('llvmlite.stand_in')\n"
+        "exec('import os, signal\\ndef back():\\n os.kill(os.getpid(), signal.SIGINT)\\n for _ in range(1000): pass', module.__dict__)\n"
+        "called = ctypes.CFUNCTYPE(None)(module.back)\n"
+        "degloss.app = lambda words: (called(), time.sleep(5))\n"
+        "degloss.main()"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 130
+    assert run.stderr.splitlines() == ["degloss: stopped; nothing was left half-written, run the same command again"]
+
+
 def test_what_a_killed_run_left_is_swept_by_the_next(folder: Path, tmp_path: Path) -> None:
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()

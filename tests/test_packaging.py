@@ -162,7 +162,7 @@ def test_empty_environments(which: str, form: int, archives: tuple[Path, Path], 
             [str(python), "-m", "degloss", *words], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300
         )
 
-    assert run(["--version"], tmp_path).returncode == 0
+    assert run(["--version"], tmp_path).stdout == "0.1.0\n"
     for n, command in enumerate(CAN[which]):
         done = run(command, tmp_path / f"made-{n}")
         assert done.returncode == 0, done.stderr
@@ -179,6 +179,7 @@ def test_empty_environments(which: str, form: int, archives: tuple[Path, Path], 
 def test_compiled_solvers_run_where_nothing_can_be_written(unpacked: Path) -> None:
     """numba keeps compiled code on disk; where a file stands in the place of every folder that it would take, solvers still run."""
     (unpacked / "recon" / "normals" / "__pycache__").touch()
+    assert (unpacked / "recon" / "normals" / "__pycache__").is_file()
     nowhere = dict.fromkeys(("NUMBA_CACHE_DIR", "HOME", "XDG_CACHE_HOME"), "/dev/null")
     environment = {**os.environ, **nowhere, "PYTHONPATH": str(unpacked), "PYTHONDONTWRITEBYTECODE": "1"}
     code = "from recon.normals.compiled import compiled\nprint(compiled(lambda x: x + 1)(1))"
@@ -192,5 +193,9 @@ def test_blender_leaves_nothing_in_the_home(command: list[str], tmp_path: Path) 
     (tmp_path / "home").mkdir()
     kept = {key: value for key, value in os.environ.items() if not key.startswith("XDG_")}
     environment = {**kept, "HOME": str(tmp_path / "home"), "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-m", "degloss", *command], env=environment, cwd=tmp_path, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "degloss", *command], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "4.5" in done.stdout or (tmp_path / "made").is_dir()
     assert not list((tmp_path / "home").iterdir())

@@ -259,7 +259,7 @@ def tutorial() -> None:
             first.append((title, (255 * (raw / 65535.0) ** (1 / 2.2)).astype(np.uint8)))
         sheet("photographs", [first], 150)
         capture = read_capture(folder)
-        shape = measure(capture, "none", "none", "explain")
+        shape = measure(capture)
         found = inspect(of_shape(shape), read_nominal(folder / "nominal.ply", "m"), tolerance=0.05)
         height = shape.height.height
         low, high = float(np.nanmin(height)), float(np.nanmax(height))

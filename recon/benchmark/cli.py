@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -45,14 +44,13 @@ def bench(
     """
     from gen.errors import InputError
     from gen.files import dumps, keep_apart, write_json, writing
-    from gen.parts import PARTS
     from gen.sets.set_spec import evenly
     from recon.benchmark.page import benchmark_page
     from recon.benchmark.run import begin, check_folder, maps_there, run_units
     from recon.benchmark.spec import Source, read_benchmark
     from recon.benchmark.summary import markdown, summarise
     from recon.benchmark.units import places, units
-    from recon.page import write_page
+    from recon.page import write_report
     from recon.progress import steps
 
     wanted, folder = read_benchmark(spec)
@@ -86,8 +84,5 @@ def bench(
     text = markdown(wanted.benchmark, summary)
     with writing(output / "table.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
-    if PARTS["report"].look().state == "ok":
-        write_page(output / "report.html", benchmark_page(wanted.benchmark, summary, maps_there(output, every)))
-    else:
-        print(f"degloss: {PARTS['report'].line}", file=sys.stderr)
+    write_report(output, lambda: benchmark_page(wanted.benchmark, summary, maps_there(output, every)))
     print(dumps(summary) if json else f"{text}\n{output}")

@@ -22,13 +22,13 @@ def remove(capture: Capture, gloss: Floats, confidence: Floats | None = None) ->
     outside the mask and where the sample is missing. confidence: (K, H, W), handed on.
     Source: S. Shafer, "Using color to separate reflection components" (1985).
     """
+    there = workable(capture)
     diffuse, specular = (large.empty(capture.images.shape, np.float32) for _ in range(2))
     for k, image in enumerate(capture.images):
         intensity = capture.intensities[k].astype(np.float32)
         smallest = (image / intensity).min(axis=2)
         bounded = np.clip(np.nan_to_num(gloss[k], nan=0.0, posinf=0.0, neginf=0.0), 0, np.maximum(smallest, 0))
-        there = capture.mask & ((capture.faults[k] & Fault.MISSING) == 0)
-        specular[k] = np.where(there, bounded, 0).astype(np.float32)[..., None] * intensity
+        specular[k] = np.where(there[k], bounded, 0).astype(np.float32)[..., None] * intensity
         # The product may round to a little more than the channel it came from.
         np.minimum(specular[k], np.maximum(image, 0), out=specular[k])
         np.subtract(image, specular[k], out=diffuse[k])

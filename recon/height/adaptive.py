@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gen.capture import Scale
 from recon.height.bilateral import reweighted, torn_height
 from recon.height.edges import REACH, Domain, Doubles, Floats, anchor_of, domain_of, height_of
-from recon.height.large import Sheet, is_large
+from recon.height.large import Ragged, Sheet, is_large
 from recon.height.quadratic import least_squares, smooth_height
 from recon.registry import Height
 
@@ -32,9 +34,10 @@ def adaptive(
     Source: the two it is made of, which see; the test by closure is worked out here.
     """
     if is_large(mask, reference):
-        sheet = Sheet(normal, mask, scale)
-        open_ = sheet.torn(GAP, OUTLYING)
-        return torn_height(sheet, open_) if open_.any() else smooth_height(sheet)
+        with suppress(Ragged):
+            sheet = Sheet(normal, mask, scale)
+            open_ = sheet.torn(GAP, OUTLYING)
+            return torn_height(sheet, open_) if open_.any() else smooth_height(sheet)
     domain = domain_of(normal, mask, scale)
     anchor = anchor_of(domain, reference, reach)
     chords = domain.chords()

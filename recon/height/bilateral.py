@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ from recon.height.edges import (
     height_of,
     right_side,
 )
-from recon.height.large import Sheet, is_large, reweigh
+from recon.height.large import Ragged, Sheet, is_large, reweigh
 from recon.height.multigrid import GridSystem
 from recon.normals.compiled import compiled
 from recon.registry import Height
@@ -55,8 +57,9 @@ def bilateral(
     stiffness 2; the multigrid cycle is this project's choice.
     """
     if is_large(mask, reference):
-        sheet = Sheet(normal, mask, scale)
-        return torn_height(sheet, sheet.inside)
+        with suppress(Ragged):
+            sheet = Sheet(normal, mask, scale)
+            return torn_height(sheet, sheet.inside)
     domain = domain_of(normal, mask, scale)
     anchor = anchor_of(domain, reference, reach)
     return height_of(domain, reweighted(domain, anchor), anchor)
@@ -65,7 +68,7 @@ def bilateral(
 def torn_height(sheet: Sheet, torn: NDArray[np.bool_]) -> Height:
     """Of a large map: only the edges that touch a pixel of `torn` (h, w) can be steps, the others take the chord of both normals."""
     reweigh(sheet, torn, STIFFNESS, FAINTEST, ROUNDS, SETTLED, LOOSE)
-    sheet.solve(TIGHT, renew=False)
+    sheet.solve(TIGHT)
     return sheet.height()
 
 

@@ -1,7 +1,7 @@
 """Integration of large maps: the equations of `quadratic`, `bilateral` and `adaptive` on the grid of pixels, without a list of its edges.
 
-What the normals say of an edge is worked out anew whenever it is needed. The multigrid's finest level is in single precision: it only leads
-conjugate gradients, which are not.
+What the normals say of an edge is worked out anew whenever it is needed. Weights, and with them the multigrid's finest level, are in single
+precision; heights and residuals are in double.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from gen import large
 from gen.capture import Scale
 from gen.errors import InputError
 from recon.height.edges import STEEPEST, Doubles, Floats
-from recon.height.multigrid import USUAL, Multigrid
-from recon.height.stencil import advance, multiply, turn
+from recon.height.multigrid import Multigrid, conjugate_gradients
 from recon.normals.compiled import compiled
 from recon.registry import Height
 
@@ -25,9 +24,15 @@ Bools = NDArray[np.bool_]
 MANY = 4_000_000
 """Pixels inside from which maps are integrated here."""
 
-
 STEPS = 300
 """Most steps of conjugate gradients for one solve."""
+
+ENOUGH = 100
+"""Multiples of the residual that is asked for at which a solve that stops at `STEPS` still counts, as in `recon.height.algebraic`."""
+
+
+class Ragged(Exception):
+    """The mask or the weights are too ragged for the grid's multigrid: integrate by the list of edges, which is slow and sure."""
 
 
 def is_large(mask: Bools, reference: Floats | None) -> bool:
@@ -92,28 +97,16 @@ class Sheet:
         for axis in range(2):
             chord_edges(self.facts, axis, self.weight[axis], self.right)
 
-    def solve(self, tolerance: float, renew: bool = True) -> int:
-        """Bring `x` to a residual of `tolerance` relative to the right side. Returns the steps that it took.
-
-        renew: whether the multigrid is made for the present weights; else the one for earlier weights serves.
-        """
+    def solve(self, tolerance: float) -> None:
+        """Bring `x` to a residual of `tolerance` relative to the right side. Raises Ragged where that takes too long."""
         mean = 2 * float(self.weight[:2].sum(dtype=np.float64)) / self.count
         self.held[1:-2, 1:-2] = np.where(self.inside, np.float32(1e-10 * mean + 1e-30), np.float32(0))
-        if renew:
-            self.multigrid.renew()
+        self.multigrid.renew()
         self.direction[:], self.r[:] = self.x, self.right
-        self.x[:] = 0
-        multiply(self.weight, self.held, self.direction, self.image)
-        left = advance(1.0, self.direction, self.image, self.x, self.r)
-        aim, before, steps = (tolerance * float(np.linalg.norm(self.right))) ** 2, np.inf, 0
-        while left > aim and steps < STEPS:
-            z = self.multigrid.cycle(self.r)
-            now = float(np.einsum("ij,ij->", self.r, z))
-            turn(now / before, z, self.direction)
-            step = now / multiply(self.weight, self.held, self.direction, self.image)
-            left = advance(step, self.direction, self.image, self.x, self.r)
-            before, steps = now, steps + 1
-        return steps
+        grids = self.x, self.r, self.direction, self.image
+        _, left = conjugate_gradients(self.multigrid, self.weight, self.held, grids, tolerance, STEPS)
+        if left > ENOUGH * tolerance:
+            raise Ragged
 
     def height(self) -> Height:
         """Height and points of the unknowns: every connected part at mean zero, as `recon.height.edges.height_of` places them."""
@@ -156,14 +149,14 @@ def reweigh(sheet: Sheet, torn: Bools, stiffness: float, faintest: float, rounds
     the last solve.
     """
     trust = np.full((2, 2, *sheet.inside.shape), 0.5, np.float32)  # by axis; in the edge ahead and in the one behind
-    energy, steps = np.inf, USUAL + 1
+    energy = np.inf
     for _ in range(rounds):
         sheet.right[:] = 0
         for axis in range(2):
             stated_edges(sheet.facts, torn, sheet.focal[axis], axis, trust[axis], sheet.weight[axis], sheet.right)
         if not sheet.right.any():
             return
-        steps = sheet.solve(loose, renew=steps > USUAL)
+        sheet.solve(loose)
         last, energy = energy, 0.0
         for axis in range(2):
             energy += distrust(sheet.facts, torn, sheet.focal[axis], axis, sheet.x, stiffness, faintest, trust[axis])

@@ -115,6 +115,35 @@ class Multigrid:
         return self.levels[0].x
 
 
+def conjugate_gradients(
+    multigrid: Multigrid,
+    weight: Doubles,
+    held: Doubles,
+    grids: tuple[Doubles, Doubles, Doubles, Doubles],
+    tolerance: float,
+    most: int,
+) -> tuple[int, float]:
+    """Solve a grid's system (see `recon.height.stencil`) by conjugate gradients under cycles of a multigrid, in at most so many steps.
+
+    grids, each (h + 3, w + 3): x, which takes the solution; r, which holds the right side and is left with the residual; the direction,
+    which holds where to start; and room for its image. Stops at a residual of `tolerance` relative to the right side. Returns the steps and
+    the relative residual, 0 where the right side is.
+    """
+    x, r, direction, image = grids
+    size = float(np.linalg.norm(r))
+    x[:] = 0
+    multiply(weight, held, direction, image)
+    left = advance(1.0, direction, image, x, r)
+    before, steps = np.inf, 0
+    while left > (tolerance * size) ** 2 and steps < most:
+        z = multigrid.cycle(r)
+        now = float(np.einsum("ij,ij->", r, z))
+        turn(now / before, z, direction)
+        left = advance(now / multiply(weight, held, direction, image), direction, image, x, r)
+        before, steps = now, steps + 1
+    return steps, float(np.sqrt(left)) / size if size else 0.0
+
+
 def _dense(level: Level) -> Doubles:
     """The matrix of a small level; pixels outside have a one on the diagonal."""
     h, w = (n - 3 for n in level.held.shape)
@@ -161,7 +190,12 @@ class GridSystem:
         if self.algebraic is None:
             if not self.prepared:
                 self.multigrid.prepare(self.weight, self.held)
-            solution, steps = self._conjugate_gradients(right, start, tolerance)
+            self.r[:] = 0
+            self.r.ravel()[self.pixels] = right
+            self.direction.ravel()[self.pixels] = start
+            grids = self.x, self.r, self.direction, self.image
+            steps, _ = conjugate_gradients(self.multigrid, self.weight, self.held, grids, tolerance, PATIENCE)
+            solution: Doubles = self.x.ravel()[self.pixels]
             self.prepared = steps <= USUAL
             if steps < PATIENCE:
                 return solution
@@ -173,21 +207,3 @@ class GridSystem:
         solution, steps = settled(A, right, start, self.algebraic, tolerance)
         self.prepared = steps <= USUAL_ALGEBRAIC
         return solution
-
-    def _conjugate_gradients(self, right: Doubles, start: Doubles, tolerance: float) -> tuple[Doubles, int]:
-        x, r, direction, image = self.x, self.r, self.direction, self.image
-        for grid in (x, r):
-            grid[:] = 0
-        r.ravel()[self.pixels] = right
-        direction.ravel()[self.pixels] = start
-        multiply(self.weight, self.held, direction, image)
-        left = advance(1.0, direction, image, x, r)
-        aim = (tolerance * np.linalg.norm(right)) ** 2
-        before, steps = np.inf, 0
-        while left > aim and steps < PATIENCE:
-            z = self.multigrid.cycle(r)
-            now = float(np.vdot(r, z))
-            turn(now / before, z, direction)
-            left = advance(now / multiply(self.weight, self.held, direction, image), direction, image, x, r)
-            before, steps = now, steps + 1
-        return x.ravel()[self.pixels], steps

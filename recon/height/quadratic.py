@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ from recon.height.edges import (
     height_of,
     right_side,
 )
-from recon.height.large import Sheet, is_large
+from recon.height.large import Ragged, Sheet, is_large
 from recon.height.multigrid import GridSystem
 from recon.registry import Height
 
@@ -46,7 +48,8 @@ def quadratic(
     log-depth for perspective, their Eq. 12. The chord equation and the weights are worked out here.
     """
     if is_large(mask, reference):
-        return smooth_height(Sheet(normal, mask, scale))
+        with suppress(Ragged):
+            return smooth_height(Sheet(normal, mask, scale))
     domain = domain_of(normal, mask, scale)
     anchor = anchor_of(domain, reference, reach)
     return height_of(domain, least_squares(domain, domain.chords(), anchor), anchor)

@@ -47,7 +47,8 @@ def inspect(
     guard
         Width of the guard band in standard deviations (ISO 14253-1).
     cutoff
-        The longest wavelength that is judged, in millimetres. Default: a quarter of the shorter side of what was measured.
+        The longest wavelength that is judged, in millimetres. Default: a quarter of the shorter side of what was
+        measured, rounded down to 1, 2, 2.5, 5 or 8 of a decade.
     unit
         Of the nominal's numbers. Default: metres for GLB, else millimetres; what was taken is said.
     measured_unit

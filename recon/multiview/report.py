@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gen.sets.set_spec import evenly
 from recon.metrics import angular_error
 from recon.multiview.measure import Model
 from recon.multiview.views import View
@@ -123,7 +124,7 @@ def _views(model: Model) -> Section:
 
 def _errors(model: Model) -> Section:
     """Depth and normals of some views against the truth, one scale for all."""
-    chosen = np.unique(np.linspace(0, len(model.views) - 1, min(len(model.views), MAX_MAPS)).round().astype(int))
+    chosen = evenly(len(model.views), MAX_MAPS)
     depths, angles = {}, {}
     for k in chosen:
         view, surface = model.views[k], model.surfaces[k]

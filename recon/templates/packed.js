@@ -106,6 +106,6 @@ const packed = {
   fail(figure, error) {
     const fallback = figure.querySelector(".fallback");
     fallback.hidden = false;
-    fallback.textContent = `This cannot be drawn here: ${error.message}. The files beside this page hold it.`;
+    fallback.textContent = `This cannot be drawn here: ${error.message}.`;
   },
 };

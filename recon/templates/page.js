@@ -57,6 +57,7 @@ const page = {
         for (const item of [over, wipe, ...gallery.querySelectorAll(".divider, .name")]) item.hidden = !there;
         if (there) {
           over.src = frame(other).src;
+          over.classList.toggle("small", frame(other).classList.contains("small"));
           gallery.querySelector(".name.left").textContent = tabs[state.layer].textContent;
           gallery.querySelector(".name.right").textContent = tabs[other].textContent;
           wipe.setAttribute("aria-label", `Divider between ${tabs[state.layer].textContent} and ${tabs[other].textContent}`);

@@ -203,6 +203,12 @@ def test_numbers_are_formatted_and_kept_whole_for_csv() -> None:
     assert Reader(render_page(Page("p", sections=[Section("s", parts=[tiny])]))).bodies["td"] == ["0.00", "0.00"]
 
 
+def test_a_gallery_may_lack_any_picture() -> None:
+    gallery = Gallery("g", {"a": [None, flat(2)], "b": [flat(3), None]}, ["x", "y"])
+    text = render_page(Page("t", "t", sections=[Section("s", "", [gallery])]))
+    assert text.count("has no picture here") == 2
+
+
 @pytest.mark.parametrize(
     ("part", "message"),
     [

@@ -63,23 +63,16 @@ def test_sphere_legend_holds_a_spheres_normals() -> None:
         np.testing.assert_allclose(legend[50 - dy, 50 + dx], (n + 1) / 2 * 255, atol=0.5 + 1e-9)
 
 
-def test_height_picture_is_linear_in_grey() -> None:
-    height = np.array([[0.0, 1.0, 2.0, 4.0, -9.0, 99.0, np.nan]])
-    picture = p.height_picture(height, 0, 4)
-    assert picture[0, :6, 0].tolist() == [0, 64, 128, 255, 0, 255]
-    assert tuple(picture[0, 6]) == p.OUTSIDE
-
-
 @pytest.mark.parametrize(("lo", "hi"), [(1.0, 1.0), (2.0, 1.0), (0.0, np.nan)])
 def test_a_scale_must_rise(lo: float, hi: float) -> None:
     with pytest.raises(InputError, match="must rise"):
-        p.height_picture(np.zeros((2, 2)), lo, hi)
+        p.relief_picture(np.zeros((2, 2)), lo, hi)
 
 
 def test_height_range_of_nothing_and_of_a_plane_can_be_shown() -> None:
     for height in (np.full((3, 3), np.nan), np.full((3, 3), 7.0)):
         lo, hi = p.height_range(height)
-        p.height_picture(height, lo, hi)
+        p.relief_picture(height, lo, hi)
 
 
 def test_relief_is_light_toward_the_upper_left() -> None:
