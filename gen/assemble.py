@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from gen.capture import Capture, Fault, Floats, Scale, Truth, grey
 from gen.errors import InputError
 from gen.exr import HALF_MAX
 from gen.faults import rng_of, with_faults
+from gen.parts import installed_version
 from gen.spec import Spec
 from gen.spec_faults import Faults
 from gen.spec_parts import AutoExposure, Orthographic
@@ -92,7 +92,7 @@ def assemble(spec: Spec, shots: list[Mapping[str, NDArray[Any]]], made_by: Mappi
             "spec": spec.plain(),
             "spec_sha256": spec.digest(),
             **made_by,
-            "versions": {"degloss": _version("degloss"), "numpy": np.__version__},
+            "versions": {"degloss": installed_version("degloss") or "not installed", "numpy": np.__version__},
         },
         light_kinds=spec.light_kinds(),
         positions=positions,
@@ -180,10 +180,3 @@ def exposure_of(spec: Spec, images: Floats, mask: NDArray[np.bool_]) -> float:
             "or give exposure as a number"
         )
     return float(f"{spec.exposure.level / bright:.3g}")
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import io
 import json
 import os
@@ -44,7 +45,7 @@ def writing(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place with -o") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         with suppress(OSError):  # what could not be written, for one, has no name to remove
             temporary.unlink()
@@ -60,7 +61,7 @@ def writing_folder(path: Path, kind: str) -> Iterator[Path]:
     path = Path(os.path.abspath(path))
     if os.path.lexists(path) and not replaceable(path, kind):  # unlike Path.exists, which raises for a name too long to be one
         raise InputError(
-            f"{path}: is there already and is not an earlier {kind} of ours, or holds other files too; choose another place with -o"
+            f"{path}: is there already and is not an earlier {kind} of ours, or holds other files too; choose another place"
         )
     temporary = old = None
     try:
@@ -78,7 +79,7 @@ def writing_folder(path: Path, kind: str) -> Iterator[Path]:
         reason = error.strerror or error
         if error.filename is not None and not _belongs(str(error.filename), path):
             raise InputError(f"{error.filename}: cannot be read or written ({reason})") from error
-        raise InputError(f"{path}: cannot be written ({reason}); choose another place with -o") from error
+        raise InputError(f"{path}: cannot be written ({reason}); choose another place") from error
     finally:
         if old is not None and (old / path.name).exists() and not path.exists():
             os.replace(old / path.name, path)  # the new one did not come: the earlier result stays
@@ -148,7 +149,13 @@ def keep_apart(source: Path, output: Path) -> None:
     place, read = real(output), real(source)
     folder = read if read.is_dir() else read.parent
     if place == folder or place in folder.parents:
-        raise InputError(f"{output}: is or holds the capture {source}; choose another place with -o")
+        raise InputError(f"{output}: is or holds the capture {source}; choose another place")
+
+
+def keep_outside(source: Path, output: Path) -> None:
+    """InputError where an output lies in the folder that is read: what is read would grow by what is made of it."""
+    if real(output).is_relative_to(real(source)):
+        raise InputError(f"{output}: lies in {source} itself; choose another place")
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -183,6 +190,12 @@ def must_exist(path: Path, what: str) -> Path:
     if size == 0:
         raise InputError(f"{path}: is empty ({what})")
     return path
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal. Raises OSError where it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_lines(path: Path, what: str, limit: int = 10_000_000) -> list[tuple[int, str]]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gen.errors import InputError
-from gen.files import library_silenced, must_exist, writing
+from gen.files import library_silenced, must_exist, sha256_of, writing
 from gen.mesh_formats import FORMATS, MAX_FACES, check_size
 from gen.mesh_normals import agreeing, smoothed
 
@@ -211,8 +211,7 @@ def _digest(path: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _digest_of(path: str, _changed: int, _size: int) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return sha256_of(Path(path))
 
 
 def _number(value: Any, low: float, high: float) -> bool:

@@ -78,18 +78,23 @@ def import_whole(module: str) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def installed_version(package: str) -> str | None:
+    """The version of an installed package; None where it is not installed, or not by a package."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
 def _modules(*names: str) -> Callable[[], Finding]:
     def look() -> Finding:
-        from importlib.metadata import PackageNotFoundError, version
-
         found = []
         for name in names:
             if find_spec(name) is None:
                 return Finding("missing", f"no package {name}")
-            try:
-                found.append(f"{name} {version(name)}")
-            except PackageNotFoundError:
-                found.append(name)
+            found.append(f"{name} {installed_version(name) or ''}".rstrip())
         return Finding("ok", ", ".join(found))
 
     return look

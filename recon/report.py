@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen import large
-from gen.sets.set_spec import evenly
 from recon.calibration import table_for
 from recon.compare import Comparison, free_scale, mean_error, true_height
 from recon.metrics import angular_error, fitted_height
@@ -103,6 +102,8 @@ def _results(comparison: Comparison, metrics: Metrics) -> Section:
 
 
 def _pictures(shape: Shape) -> Section:
+    from gen.sets.set_spec import evenly  # with specs comes pydantic, which a measurement needs not
+
     capture, layers, mask = shape.capture, shape.layers, shape.capture.mask
     white = white_of(capture.images, mask)
     frames = evenly(capture.count, MAX_FRAMES)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gen.capture import Capture
+from gen.capture import Capture, Scale
 from gen.capture_lights import NEAR, WITHOUT_DIRECTION
 from gen.files import write_json
 from gen.release.samples import without_paths
@@ -53,6 +53,12 @@ def write_about(capture: Capture, folder: Path, format: str, files: Sequence[str
 def truth_left_out(capture: Capture, held: Collection[str]) -> Iterable[str]:
     """The parts of the capture's truth that are not among `held`, in plain words."""
     return (WORDS[name] for name in capture.truth.names() if name not in held)
+
+
+def distance_left_out(scale: Scale) -> Iterable[str]:
+    """What a layout that says a distance beside a K only does not say of a scale that it writes without one."""
+    if scale.distance_mm is not None:
+        yield "the camera's distance"
 
 
 def lights_left_out(capture: Capture, places: bool = False) -> Iterable[str]:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from gen.capture import Capture, Scale
 from gen.capture_lights import NEAR
-from gen.convert.about import lights_left_out
+from gen.convert.about import distance_left_out, lights_left_out
 from gen.files import writing
 from gen.photos.spec import NAME, PhotoSpec
 from gen.strict_yaml import first_complaint
@@ -50,10 +50,10 @@ def write_capture_yaml(
 def _scale(scale: Scale) -> tuple[dict[str, Any], Iterable[str]]:
     """(the keys that say the scale, what they cannot say)."""
     if scale.camera is None:
-        return ({} if scale.mm_per_pixel is None else {"mm_per_pixel": scale.mm_per_pixel}), ()
+        return ({} if scale.mm_per_pixel is None else {"mm_per_pixel": scale.mm_per_pixel}), distance_left_out(scale)
     (fx, _, cx), (_, fy, cy), _ = scale.camera.tolist()
     if not np.array_equal(scale.camera, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]):
-        return {}, ("the camera's K, which has a skew",)
+        return {}, ("the camera's K, which has a skew", *distance_left_out(scale))
     camera: dict[str, Any] = {"K": scale.camera.tolist()}
     if scale.distance_mm is not None:
         camera["distance_mm"] = scale.distance_mm

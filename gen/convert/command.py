@@ -27,7 +27,8 @@ def convert(
     png16: 16-bit linear PNGs of pictures and layers; exr: plain EXRs, one RGB file a picture and layer. Both have a capture.yaml, by
     which degloss reads them back.
 
-    webdataset: tar shards with a sample a capture, as in our releases (see degloss gen release), for training that streams.
+    webdataset: tar shards with a sample a capture, for training that streams; as in our releases (see degloss gen release), but without
+    the preview and with fewer facts.
 
     What a format does not hold is said in one line on stderr.
 

@@ -12,7 +12,7 @@ from typing import Any
 from gen.convert import FOLDERS, FORMATS, SHARDS
 from gen.convert.entries import COLUMNS, Entry, Source, source_of
 from gen.errors import InputError
-from gen.files import keep_apart, write_json, writing_folder
+from gen.files import keep_apart, keep_outside, write_json, writing_folder
 
 CAPTURES = "captures.json"
 """The list of many: what their index says of every capture (`gen.convert.entries.COLUMNS`), by the name of its folder."""
@@ -55,8 +55,8 @@ def convert(
         raise InputError(f"format {format!r:.40} is unknown; there are {', '.join(FORMATS)}")
     keep_apart(source, output)
     captures = source_of(source, encoding)
-    if captures.rows is not None and output.resolve().is_relative_to(source.resolve()):
-        raise InputError(f"{output}: lies in {source} itself; choose another place")
+    if captures.rows is not None:
+        keep_outside(source, output)
     lost: Counter[str] = Counter()
     pictures = 0
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gen.capture import Capture, Floats
-from gen.convert.about import lights_left_out, truth_left_out, write_about
+from gen.convert.about import distance_left_out, lights_left_out, truth_left_out, write_about
 from gen.convert.sixteen_bit import to_sixteen_bits
 from gen.convert.truth_files import write_depth, write_normal_map
 from gen.files import writing
@@ -76,13 +76,14 @@ def _write_scale(capture: Capture, folder: Path) -> Iterable[str]:
     scale = capture.scale
     if scale.camera is not None:
         if not np.array_equal(scale.camera[1:, 0], (0, 0)) or not np.array_equal(scale.camera[2], (0, 0, 1)):
-            return ["the camera's K, which is not of OpenCV's form"]
+            return ["the camera's K, which is not of OpenCV's form", *distance_left_out(scale)]
         _rows(folder / "K.txt", scale.camera)
         if scale.distance_mm is not None:
             _lines(folder / "scale.txt", [f"distance_mm {scale.distance_mm!r}"])
-    elif scale.mm_per_pixel is not None:
+        return []
+    if scale.mm_per_pixel is not None:
         _lines(folder / "scale.txt", [f"mm_per_pixel {scale.mm_per_pixel!r}"])
-    return []
+    return distance_left_out(scale)
 
 
 def _rows(path: Path, table: ArrayLike) -> None:

@@ -1,17 +1,17 @@
-"""What is converted: the one capture of a source, or all of a set or a release, read one at a time."""
+"""What is converted: the one capture of a source, or all of a set or a release, read one at a time, each once."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
 from gen.parts import require
-from gen.release.layout import PICTURES, key_of
+from gen.release.layout import MEMBERS, PICTURES, key_of
 from gen.release.reading import is_release, open_release
 from gen.release.tables import PICTURES as PICTURE_COLUMNS
 from gen.release.tables import read_table
@@ -24,7 +24,10 @@ COLUMNS = ("group", "split", "shape", "material", "pictures")
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A capture to convert. name: its id among many; None where it is the only one. path: where it was read. facts: by `COLUMNS`."""
+    """A capture to convert. name: its id among many; None where it is the only one. facts: by `COLUMNS`.
+
+    path: where it was read, a folder of its own also in a release; it is there until the next one is asked for.
+    """
 
     name: str | None
     path: Path
@@ -34,13 +37,13 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Captures to convert. rows: what is known of each of many (`id` and `COLUMNS`), None where there is one. read: reads the one of a row.
+    """Captures to convert. rows: what is known of each of many (`id` and `COLUMNS`), None where there is one. read: begins to read them.
 
     Iterating reads them; InputError, one line, where one cannot be read.
     """
 
     rows: tuple[Mapping[str, Any], ...] | None
-    read: Callable[[Mapping[str, Any] | None], Entry]
+    read: Callable[[], Iterator[Entry]]
 
     @property
     def count(self) -> int:
@@ -48,7 +51,7 @@ class Source:
         return 1 if self.rows is None else len(self.rows)
 
     def __iter__(self) -> Iterator[Entry]:
-        return map(self.read, [None] if self.rows is None else self.rows)
+        return self.read()
 
 
 def source_of(path: Path, encoding: str | None = None) -> Source:
@@ -59,7 +62,7 @@ def source_of(path: Path, encoding: str | None = None) -> Source:
     """
     many = _of_set if is_set_folder(path) else _of_release if is_release(path) else None
     if many is None:
-        return Source(None, lambda _: Entry(None, path, read_capture(path, encoding)))
+        return Source(None, lambda: iter([Entry(None, path, read_capture(path, encoding))]))
     if encoding is not None:
         raise InputError(f"--encoding {encoding}: {path} is a set of ours, which is linear; leave it out")
     return many(path)
@@ -78,8 +81,8 @@ def _of_set(path: Path) -> Source:
     if not rows:
         raise InputError(f"{path}: nothing is rendered yet")
 
-    def read(row: Any) -> Entry:
-        return Entry(row["id"], folder.item_folder(row["id"]), folder.capture(row["id"]), row)
+    def read() -> Iterator[Entry]:
+        return (Entry(row["id"], folder.item_folder(row["id"]), folder.capture(row["id"]), row) for row in rows)
 
     return Source(tuple(rows), read)
 
@@ -94,10 +97,23 @@ def _of_release(path: Path) -> Source:
         what = f"{ids.most_common(1)[0][0]} twice" if rows else "no captures"
         raise InputError(f"{path / PICTURES}: lists {what}; check the release with degloss gen verify")
 
-    def read(row: Any) -> Entry:
-        return Entry(row["id"], path, release.capture(row["id"]), row)
+    def read() -> Iterator[Entry]:
+        expected = iter(rows)
+        for item, place in release.folders():
+            row = next(expected, None)
+            if row is None or row["id"] != item:
+                raise InputError(_other_captures(path))
+            yield Entry(item, place, replace(read_capture(place), source=f"{path}: {item}"), row)
+        if next(expected, None) is not None:
+            raise InputError(_other_captures(path))
 
     return Source(tuple(rows), read)
+
+
+def _other_captures(path: Path) -> str:
+    return (
+        f"{path / MEMBERS}: holds other captures than {PICTURES}, or in another order; check the release with degloss gen verify"
+    )
 
 
 def _known(row: Mapping[str, Any], name: str, split: str | None, where: Path) -> dict[str, Any]:

@@ -1,14 +1,14 @@
 """WebDataset shards. A capture is one sample, with the fields that it has in our releases (`gen.release.layout`) but for the preview.
 
     train-00000.tar, ...    shards of each split; captures-00000.tar where a capture is in none
-    KEY.json                lights, size, and what a set's index says of the capture, in the words of our releases
+    KEY.json                lights, size, group, split, shape and material: fewer facts than in our releases, in the same words
     KEY.capture             capture.json
     KEY.001.exr, ...        the pictures with their layers
     KEY.view.exr            normals, depth, albedo, gloss, as far as they are known
     KEY.mask.png
 
-A capture folder of ours goes in as it is, any other capture as such a folder holds it; so nothing is lost. The same captures give the
-same bytes.
+The pictures of a capture folder of ours, which the captures of sets and releases are too, go in byte for byte; any other capture goes in
+as such a folder holds it. So nothing is lost. The same captures give the same bytes.
 """
 
 from __future__ import annotations
@@ -23,20 +23,17 @@ from typing import IO, Any
 
 from gen.convert.entries import Entry
 from gen.errors import InputError
-from gen.files import dumps, inside, read_json
+from gen.files import dumps, inside, read_json, real
 from gen.formats.render_folder import INDEX, is_render, write_files
-from gen.release.layout import CAPTURE, FACTS, field_of, key_of
+from gen.release.layout import CAPTURE, FACTS, SHARD_BYTES, field_of, key_of
 from gen.release.samples import without_paths
 from gen.release.tar import ShardWriter
-
-SHARD_BYTES = 500_000_000
-"""A shard that has reached this size takes no further sample."""
 
 NO_SPLIT = "captures"
 
 
 class Shards:
-    """The shards of one split: a new one is begun where the last is full."""
+    """The shards of one split: a new one is begun where the last has reached `SHARD_BYTES`."""
 
     def __init__(self, folder: Path, split: str) -> None:
         self._folder, self._split, self._count = folder, split, 0
@@ -130,6 +127,6 @@ def _facts(entry: Entry, key: str, index: Mapping[str, Any], pictures: list[str]
 
 def _key(path: Path) -> str:
     """A key of a sample made of a file's or folder's name: loaders cut keys at dots."""
-    name = path.stem if path.is_file() else path.resolve().name
+    name = path.stem if path.is_file() else real(path).name
     words = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
     return words[:80] or "capture"

@@ -72,7 +72,7 @@ class About:
             raise InputError(f"--license {self.licence}: must be one of {', '.join(LICENCES)}")
         for option in ("title", "description", "creator", "url"):
             text = getattr(self, option)
-            if text is not None and (not text.strip() or len(text) > 2000 or any(ord(c) < 32 or ord(c) == 127 for c in text)):
+            if text is not None and (not text.strip() or len(text) > 2000 or any(map(_breaks, text))):
                 raise InputError(f"--{option}: must be one line of text, at most 2,000 characters")
         if self.url is not None and not re.fullmatch(r"https?://\S+", self.url):
             raise InputError(f"--url {self.url}: must start with https://")
@@ -86,6 +86,11 @@ class About:
     def identifier(self) -> str:
         """Name and version in one word."""
         return f"{self.name}-{self.version}"
+
+
+def _breaks(character: str) -> bool:
+    """Whether it is a control character, or a byte of the command line that was no text (PEP 383), which no file takes."""
+    return ord(character) < 32 or ord(character) == 127 or 0xD800 <= ord(character) <= 0xDFFF
 
 
 def release_date() -> str | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
 from gen.errors import InputError
-from gen.files import inside, must_exist
+from gen.files import inside, must_exist, sha256_of
 from gen.release.about import About
 from gen.release.layout import BAG_INFO, BAGIT, DATA, MANIFEST, TAG_MANIFEST
 
@@ -37,12 +36,6 @@ def write_bag(built: Path, about: About, known: Mapping[str, str]) -> int:
     tags = sorted(path.name for path in built.iterdir() if path.is_file())
     _manifest(built / TAG_MANIFEST, {name: sha256_of(built / name) for name in tags})
     return sum(sizes.values()) + sum(path.stat().st_size for path in built.iterdir() if path.is_file())
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_manifest(folder: Path, name: str) -> dict[str, str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from gen.errors import InputError
-from gen.release.bag import read_manifest, sha256_of
+from gen.files import sha256_of
+from gen.release.bag import read_manifest
 from gen.release.layout import BAG_INFO, BAGIT, DATA, MANIFEST, TAG_MANIFEST
 
 MAX_INFO = 100_000
@@ -15,14 +16,21 @@ MAX_FILES = 1_000_000
 
 
 def bag_faults(path: Path) -> tuple[list[str], int]:
-    """The faults of the folder as a BagIt bag, each line starting with a file's name; how many checksums were compared."""
+    """The faults of the folder as a BagIt bag, each line starting with a file's name; how many checksums were compared.
+
+    None were where a file of the bag itself is missing or damaged: then nothing else in the folder can be relied on.
+    """
     there, faults = _tree(path)
     for name in (BAGIT, BAG_INFO, MANIFEST, TAG_MANIFEST):
         if name not in there:
             return [*faults, f"{name}: is missing"], 0
-    tags, payload = _manifest(path, TAG_MANIFEST, faults), {}
-    if sha256_of(path / MANIFEST) == tags.get(MANIFEST):
-        payload = _manifest(path, MANIFEST, faults)
+    try:
+        tags = read_manifest(path, TAG_MANIFEST)
+        if sha256_of(path / MANIFEST) != tags.get(MANIFEST):
+            raise InputError(f"{MANIFEST}: its SHA-256 is not the one in {TAG_MANIFEST}")
+        payload = read_manifest(path, MANIFEST)
+    except InputError as error:  # of what a damaged manifest says of other files nothing is true
+        return [*faults, str(error)], 0
     listed = {**tags, **payload}
     faults += [f"{name}: is an extra file" for name in sorted(there - listed.keys() - {TAG_MANIFEST})]
     faults += [f"{name}: is in the manifest of the other files" for name in tags if name.startswith(f"{DATA}/")]
@@ -59,12 +67,3 @@ def _tree(path: Path) -> tuple[set[str], list[str]]:
             if len(names) > MAX_FILES:
                 raise InputError(f"{path}: holds more than {MAX_FILES:,} files")
     return names, faults
-
-
-def _manifest(path: Path, name: str, faults: list[str]) -> dict[str, str]:
-    """What a manifest lists; nothing, and a fault, where it is damaged."""
-    try:
-        return read_manifest(path, name)
-    except InputError as error:
-        faults.append(str(error))
-        return {}

@@ -23,6 +23,7 @@ from gen.parts import require
 from gen.release.about import About
 from gen.release.build import release_set
 from gen.release.contents import contents_of, released_files
+from gen.release.layout import SHARD_BYTES
 from gen.sets.preview import contact_sheet
 from gen.sets.set_folder import SetFolder
 
@@ -39,7 +40,7 @@ def timed(run: Callable[[], object]) -> tuple[float, float]:
 
 def files_of(folder: SetFolder) -> list[Path]:
     """The files of a set that stand in its release."""
-    kept = {entry.id for shard in contents_of(folder, 500_000_000).shards for entry in shard.entries}
+    kept = {entry.id for shard in contents_of(folder, SHARD_BYTES).shards for entry in shard.entries}
     return [
         folder.item_folder(row["id"]) / file
         for row in folder.each_row()

@@ -23,6 +23,20 @@ TAGS = (
     "webdataset",
 )
 
+LATEX = str.maketrans(
+    {
+        "\\": r"{\textbackslash}",
+        "{": r"{\textbraceleft}",
+        "}": r"{\textbraceright}",
+        "~": r"{\textasciitilde}",
+        "^": r"{\textasciicircum}",
+        **{character: f"\\{character}" for character in "&%#_$"},
+    }
+)
+"""Characters that LaTeX reads as commands, as it prints them. BibTeX counts braces, escaped or not, so they are spelt out."""
+
+URL = str.maketrans({"{": "%7B", "}": "%7D", "\\": "%5C"})
+
 
 def card(about: About, facts: Facts) -> str:
     """The text of README.md."""
@@ -235,9 +249,10 @@ def _rights(about: About, facts: Facts) -> str:
 
 def bibtex(about: About) -> str:
     """The data set as a BibTeX entry."""
-    lines = [f"  title = {{{about.title}}}", f"  author = {{{{{about.creator}}}}}", f"  version = {{{about.version}}}"]
+    title, creator = about.title.translate(LATEX), about.creator.translate(LATEX)
+    lines = [f"  title = {{{title}}}", f"  author = {{{{{creator}}}}}", f"  version = {{{about.version}}}"]
     lines += [f"  year = {{{about.date[:4]}}}"] if about.date else []
-    lines += [f"  url = {{{about.url}}}"] if about.url else []
+    lines += [f"  url = {{{about.url.translate(URL)}}}"] if about.url else []
     return f"@misc{{{about.name},\n" + ",\n".join(lines) + "\n}"
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from gen.release.about import About
+    from gen.sets.campaign import Engine
     from gen.sets.plan import Plan
     from gen.sets.set_folder import SetFolder
 
@@ -27,10 +27,10 @@ def release(
     license: str = "CC-BY-4.0",
     url: str | None = None,
     shard_mb: int = 500,
-    workers: int = 1,
-    fractions: str = "0.8,0.1,0.1",
-    by: str = "object,material,lights",
-    device: Literal["auto", "cpu", "gpu"] = "auto",
+    workers: int | None = None,
+    fractions: str | None = None,
+    by: str | None = None,
+    device: Literal["auto", "cpu", "gpu"] | None = None,
     blender: str | None = None,
     resume: Flag = False,
     json: Flag = False,
@@ -41,18 +41,18 @@ def release(
     one that was left out, a card for Hugging Face, croissant.json, datasheet, licence, citation, contact sheet, provenance, and BagIt
     manifests. The same set gives the same bytes; a date is in it only where the environment variable SOURCE_DATE_EPOCH says one.
 
-    Given a spec or a preset of a set it renders, screens and splits first, all in one.
+    Given a spec, a preset or a plan of a set it renders, screens and splits first, all in one.
 
     Whatever interrupts it, the same command with --resume goes on, and ends with the same bytes. degloss gen verify proves a release.
 
     Parameters
     ----------
     source
-        The folder of a rendered set, a YAML spec of a set, or the name of a shipped preset.
+        The folder of a rendered set, a YAML spec of a set, the name of a shipped preset, or a plan (degloss gen plan).
     version
         Of the release: three numbers such as 1.0.0.
     output
-        The folder to make. It must not be there yet.
+        The folder to make. It must not be there yet, nor lie in the set.
     title
         Of the data set. Default: the set's name.
     description
@@ -66,13 +66,13 @@ def release(
     shard_mb
         Size of a shard in megabytes, about.
     workers
-        Of a set that is rendered here: Blender processes at the same time. The bytes do not depend on it.
+        Of a set that is rendered here: Blender processes at the same time. The bytes do not depend on it. Default: 1.
     fractions
-        Of a set that is rendered here: the shares of train, validation and test (see degloss gen split).
+        Of a set that is rendered here: the shares of train, validation and test (see degloss gen split). Default: 0.8,0.1,0.1.
     by
-        Of a set that is rendered here: what splits must not share.
+        Of a set that is rendered here: what splits must not share. Default: object,material,lights.
     device
-        Of a set that is rendered here: what Blender computes on.
+        Of a set that is rendered here: what Blender computes on. Default: auto, a gpu where there is one.
     blender
         Of a set that is rendered here: an installed Blender's program, in place of the bpy module.
     resume
@@ -86,33 +86,47 @@ def release(
     from gen.files import dumps
     from gen.parts import require
     from gen.release.about import About, release_date
-    from gen.release.build import Released, release_in, workplace
-    from gen.sets.set_commands import progress_bar, words
+    from gen.release.build import release_in, release_set, workplace
+    from gen.sets.set_commands import progress_bar
     from gen.sets.set_folder import SetFolder, is_set_folder
 
     require("release")
     if not 1 <= shard_mb <= 100_000:
         raise InputError(f"--shard-mb {shard_mb}: must be from 1 to 100000")
+    shard_bytes = shard_mb * 1_000_000
 
     def about(name: str, digest: str) -> About:
         return About(name, version, title or name, description or _described(name, digest), creator, license, url, release_date())
 
-    def build(place: Path, folder: SetFolder, said: About) -> Released:
-        with progress_bar(f"{said.identifier}: releasing", "captures") as bar:
-            return release_in(place, folder, output, said, shard_mb * 1_000_000, bar)
-
     if is_set_folder(Path(source)):
+        for option, given in (
+            ("--workers", workers),
+            ("--fractions", fractions),
+            ("--by", by),
+            ("--device", device),
+            ("--blender", blender),
+        ):
+            if given is not None:
+                raise InputError(f"{option} is for sets that are rendered here, and {source} is rendered already")
         folder = SetFolder(Path(source))
         head = folder.about()
         said = about(str(head.get("name")), str(head.get("set_sha256")))
-        with workplace(output, resume) as place:
-            done = build(place, folder, said)
+        with progress_bar(f"{said.identifier}: releasing", "captures") as bar:
+            done = release_set(folder, output, said, shard_bytes, resume, bar)
     else:
+        from gen.sets.campaign import Engine
+        from gen.sets.set_commands import fractions_of, words
+        from gen.sets.splits import KEYS, SHARES, check_options
+
         plan = _plan(source)
         said = about(plan.name, plan.set_sha256)
+        wanted = SHARES if fractions is None else fractions_of(fractions)
+        shares, keys = check_options(wanted, 0, tuple(KEYS) if by is None else words(by))
+        engine = Engine(1 if workers is None else workers, blender=blender, device=device or "auto")
         with workplace(output, resume) as place:
-            folder = _rendered(plan, place / "set", workers, device, blender, fractions, words(by))
-            done = build(place, folder, said)
+            folder = _rendered(plan, place / "set", engine, shares, keys)
+            with progress_bar(f"{said.identifier}: releasing", "captures") as bar:
+                done = release_in(place, folder, output, said, shard_bytes, bar)
     if json:
         print(dumps({"folder": str(output), "name": said.name, "version": version, **asdict(done)}))
         return
@@ -131,7 +145,7 @@ def _plan(source: str) -> Plan:
     if is_plan(source):
         return read_plan(source)
     if not is_set(source):
-        raise InputError(f"{source}: is neither the folder of a rendered set (set.json) nor the spec or preset of a set")
+        raise InputError(f"{source}: is neither the folder of a rendered set (set.json) nor the spec, preset or plan of one")
     return plan_of(source)
 
 
@@ -145,21 +159,18 @@ def _described(name: str, digest: str) -> str:
     return "Rendered pictures of glossy objects with diffuse and specular layers, gloss-free twins, and the true shape."
 
 
-def _rendered(
-    plan: Plan, folder: Path, workers: int, device: str, blender: str | None, fractions: str, by: tuple[str, ...]
-) -> SetFolder:
+def _rendered(plan: Plan, folder: Path, engine: Engine, shares: tuple[float, ...], keys: tuple[str, ...]) -> SetFolder:
     """The plan as a rendered, screened and divided set; what is there of it is kept."""
-    from gen.sets.campaign import Engine, render_set
+    from gen.sets.campaign import render_set
     from gen.sets.screening import write_screening
-    from gen.sets.set_commands import fractions_of, progress_bar
+    from gen.sets.set_commands import progress_bar
     from gen.sets.set_folder import SetFolder
     from gen.sets.splits import write_splits
 
-    shares = fractions_of(fractions)
     with progress_bar(f"{plan.name}: rendering", "items") as bar:
         advance = None if bar is None else lambda done, total, pictures: bar(done, total)
-        render_set(plan, folder, Engine(workers, blender=blender, device=device), True, advance)
+        render_set(plan, folder, engine, True, advance)
     found = SetFolder(folder)
     write_screening(found)
-    write_splits(found, shares, 0, by)
+    write_splits(found, shares, 0, keys)
     return found

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from gen.errors import InputError
+from gen.files import read_json
 from gen.release.layout import MAX_FILE, field_of, key_of
 from gen.release.tar import BLOCK
 from gen.sets.screening import Verdict, screening_of
 from gen.sets.set_folder import RENDERED, Row, SetFolder, row_text
-from gen.sets.splits import NAMES, read_splits
+from gen.sets.splits import KEYS, NAMES, SPLITS, read_splits, unsaid
 
 MAX_SHARDS = 100_000
 
@@ -57,7 +58,8 @@ class Contents:
 def contents_of(folder: SetFolder, shard_bytes: int) -> Contents:
     """Divide a rendered, screened and split set into shards of about so many bytes.
 
-    Raises InputError where the set is not whole or not divided, or screening and splits speak of other items than each other.
+    Raises InputError where the set is not whole or not divided, screening and splits speak of other items than each other, or splits share
+    what splits.json does not say.
     """
     verdicts: dict[str, list[Verdict]] = {}
     for verdict in screening_of(folder):
@@ -70,6 +72,7 @@ def contents_of(folder: SetFolder, shard_bytes: int) -> Contents:
             if split_of.setdefault(item, name) != name:
                 raise InputError(f"{folder.path}: splits.json: {item!r:.80} is in {split_of[item]} and in {name}")
     kept: dict[tuple[str, int], list[Entry]] = {}
+    divided: list[dict[str, Any]] = []
     for row in folder.each_row():
         judged = verdicts.get(row["id"], [])
         if row["status"] != RENDERED or not any(verdict.kept for verdict in judged):
@@ -78,13 +81,17 @@ def contents_of(folder: SetFolder, shard_bytes: int) -> Contents:
             raise InputError(f"{folder.path}: {row['id']}: screening keeps a part of its pictures; run degloss gen screen again")
         if row["id"] not in split_of:
             raise InputError(f"{folder.path}: {row['id']} is kept, but in no split; run degloss gen split again")
-        kept.setdefault((split_of.pop(row["id"]), row["pictures"]), []).append(_entry(row))
+        split = split_of.pop(row["id"])
+        divided.append({"split": split, **{column: row[column] for column in KEYS.values()}})
+        kept.setdefault((split, row["pictures"]), []).append(_entry(row))
     if split_of:
         raise InputError(
             f"{folder.path}: splits.json holds {next(iter(split_of))}, which is not kept; run degloss gen split again"
         )
     if not kept:
         raise InputError(f"{folder.path}: no picture is left to release")
+    if fault := next(unsaid(read_json(folder.path / SPLITS, "the splits of a set"), divided), None):
+        raise InputError(f"{folder.path / SPLITS}: {fault}; run degloss gen split again")
     kinds = tuple(sorted({pictures for _, pictures in kept}))
     shards = tuple(_shards(kept, kinds, shard_bytes))
     if len(shards) > MAX_SHARDS - 1:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from gen.files import dumps
+from gen.files import dumps, sha256_of
 from gen.images import write_png
 from gen.release.about import About
-from gen.release.bag import sha256_of
 from gen.release.card import card
 from gen.release.croissant import croissant
 from gen.release.datasheet import datasheet

@@ -1,10 +1,10 @@
-"""What a release holds, counted from its own tables and read from its first capture: what its documents say."""
+"""What a release holds, counted from its own tables and read from the first capture of each group: what its documents say."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,9 @@ LAYERS = {
 class Facts:
     """Counts of items unless said otherwise. splits: (items, pictures) of each that is not empty. kinds: by number of pictures.
 
-    shards: (file, split, number of pictures a capture). frame, view: channels of a picture's and a view's EXR with their sample type.
-    renderers: by (Blender, device, version of degloss). cropped: whether EXRs store the object's box only. lights: kinds of light.
+    shards: (file, split, number of pictures a capture). frame, view: channels of pictures' and views' EXRs with their sample type, "half or
+    float" where groups differ. cropped: whether EXRs of any group store the object's box only. renderers: by (Blender, device, version of
+    degloss). lights: kinds of light.
     named_files: whether specs name files of their maker (meshes, panoramas).
     """
 
@@ -76,20 +77,20 @@ class Facts:
 
 
 def count_facts(built: Path, folder: SetFolder, named_files: bool) -> Facts:
-    """Count what the tables in `built` hold. folder: the rendered set, of which the first capture's headers are read."""
+    """Count what the tables in `built` hold. folder: the rendered set, of which one capture a group is read."""
     items: Counter[str] = Counter()
     pictures: Counter[str] = Counter()
     counted: dict[str, Counter[Any]] = {key: Counter() for key in ("pictures", "shape", "material", "size", "renderer")}
     shards: dict[str, tuple[str, int]] = {}
     lights: set[str] = set()
     low, high = float("inf"), 0.0
-    first = None
+    first: dict[str, str] = {}
     for row in read_table(built / PICTURES, PICTURE_COLUMNS):
         pictures[row["split"]] += 1
         lights.add(row["light_kind"])
         if row["picture"] != 1:
             continue
-        first = first or row["item"]
+        first.setdefault(row["group"], row["item"])
         items[row["split"]] += 1
         counted["pictures"][row["pictures"]] += 1
         counted["size"][row["width"], row["height"]] += 1
@@ -98,12 +99,11 @@ def count_facts(built: Path, folder: SetFolder, named_files: bool) -> Facts:
         counted["renderer"][row["blender"] or "", row["device"] or ""] += 1
         shards[row["shard"]] = (row["split"], row["pictures"])
         low, high = min(low, row["alpha_low"]), max(high, row["alpha_high"])
-    assert first is not None
     rejected = Counter(row["reason"] for row in read_table(built / REJECTED, REJECTED_COLUMNS))
-    place = folder.item_folder(first)
-    frame, cropped = _channels(place / "frames/001.exr")
-    view, _ = _channels(place / "view.exr") if (place / "view.exr").is_file() else ({}, False)
-    program = _program(place)
+    places = [folder.item_folder(item) for item in first.values()]
+    frame, cropped = _channels([place / "frames/001.exr" for place in places])
+    view, _ = _channels([path for place in places if (path := place / "view.exr").is_file()])
+    program = _program(places[0])
     splits, said = read_json(built / SPLITS, "the splits of a set"), folder.about()
     return Facts(
         {name: (items[name], pictures[name]) for name in NAMES if items[name]},
@@ -132,13 +132,20 @@ def _most(counts: Counter[Any]) -> dict[Any, int]:
     return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
 
 
-def _channels(path: Path) -> tuple[dict[str, str], bool]:
-    """The channels of an EXR with their sample types, and whether it stores a part of its frame only."""
+def _channels(paths: Iterable[Path]) -> tuple[dict[str, str], bool]:
+    """The channels of EXRs with their sample types in words, and whether any stores a part of its frame only."""
     import OpenEXR
 
     kinds = {"float16": "half", "float32": "float", "uint32": "uint"}
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: kinds[channel.pixels.dtype.name] for name, channel in file.channels().items()}, "outside" in file.header()
+    types: dict[str, set[str]] = {}
+    cropped = False
+    for path in paths:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            for name, channel in file.channels().items():
+                types.setdefault(name, set()).add(kinds[channel.pixels.dtype.name])
+            cropped |= "outside" in file.header()
+    order = list(kinds.values())
+    return {name: " or ".join(sorted(found, key=order.index)) for name, found in types.items()}, cropped
 
 
 def _program(place: Path) -> str:

@@ -41,6 +41,9 @@ PLAN, SPLITS = f"{DATA}/plan.jsonl", f"{DATA}/splits.json"
 BAGIT, BAG_INFO, MANIFEST, TAG_MANIFEST = "bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"
 
 FACTS, CAPTURE, PREVIEW = "json", "capture", THUMBNAIL
+SHARD_BYTES = 500_000_000
+"""Size of a shard, about, where nobody says another."""
+
 MAX_FILE = 2_000_000_000
 """The largest file of a capture in bytes."""
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import platform
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from gen.files import sha256_of
+from gen.parts import installed_version
 from gen.release.about import About
 from gen.release.facts import Facts
 from gen.release.layout import FORMAT, PLAN, VERSION
@@ -43,11 +44,11 @@ def provenance_of(folder: SetFolder, about: About, facts: Facts, sources: dict[s
             for (blender, device, program), count in facts.renderers.items()
         ],
         "released": {
-            "degloss": _version("degloss"),
+            "degloss": installed_version("degloss"),
             "code_sha256": code_sha256(),
             "constraints_sha256": constraints_sha256(),
             "python": platform.python_version(),
-            "packages": {name: _version(name) for name in PACKAGES},
+            "packages": {name: installed_version(name) for name in PACKAGES},
         },
         "again": f"degloss gen render {PLAN} -o SET",
     }
@@ -67,11 +68,4 @@ def code_sha256() -> str:
 def constraints_sha256() -> str | None:
     """SHA-256 of the file that pins the packages' versions; None where the program was installed without it."""
     path = ROOT / CONSTRAINTS
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+    return sha256_of(path) if path.is_file() else None

@@ -9,7 +9,6 @@ capture = release.capture(release.items("train")[0])
 from __future__ import annotations
 
 import hashlib
-import os
 import tarfile
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,8 +19,8 @@ from typing import Any
 
 from gen.capture import Capture, read_capture
 from gen.errors import InputError
-from gen.files import inside, read_json, writing_folder
-from gen.release.bag import read_manifest, sha256_of
+from gen.files import inside, read_json, sha256_of, writing_folder
+from gen.release.bag import read_manifest
 from gen.release.layout import DATA, FORMAT, KEY, MANIFEST, MAX_FILE, MEMBERS, PICTURES, PROVENANCE, SHARD, VERSION, file_of
 from gen.release.tables import MEMBERS as MEMBER_COLUMNS
 from gen.release.tables import PICTURES as PICTURE_COLUMNS
@@ -54,12 +53,21 @@ class Release:
 
     def capture(self, item: str) -> Capture:
         """A capture, with its truth."""
-        return self._capture(item, read_rows(self.path / MEMBERS, MEMBER_COLUMNS, item))
+        with tempfile.TemporaryDirectory(prefix="degloss-") as place:
+            self._put(item, read_rows(self.path / MEMBERS, MEMBER_COLUMNS, item), Path(place))
+            return self._read(item, Path(place))
 
     def captures(self) -> Iterator[Capture]:
         """Every capture, one after another, in the memory of one."""
+        for item, place in self.folders():
+            yield self._read(item, place)
+
+    def folders(self) -> Iterator[tuple[str, Path]]:
+        """Every capture as its id and a folder that every degloss command reads, byte for byte, there until the next is asked for."""
         for item, members in groupby(read_table(self.path / MEMBERS, MEMBER_COLUMNS), key=lambda row: str(row["item"])):
-            yield self._capture(item, members)
+            with tempfile.TemporaryDirectory(prefix="degloss-") as place:
+                self._put(item, members, Path(place))
+                yield item, Path(place)
 
     def unpack(self, item: str, folder: Path) -> None:
         """A capture as a folder that every degloss command reads, whole or not at all."""
@@ -67,10 +75,8 @@ class Release:
         with writing_folder(folder, "capture") as temporary:
             self._put(item, members, temporary)
 
-    def _capture(self, item: str, members: Iterable[Member]) -> Capture:
-        with tempfile.TemporaryDirectory(prefix="degloss-") as place:
-            self._put(item, members, Path(place))
-            return replace(read_capture(place), source=f"{self.path}: {item}")
+    def _read(self, item: str, place: Path) -> Capture:
+        return replace(read_capture(place), source=f"{self.path}: {item}")
 
     def _put(self, item: str, members: Iterable[Member], place: Path) -> None:
         count = 0
@@ -155,7 +161,10 @@ def unpack_shard(shard: Path, folder: Path) -> list[Path]:
 
 
 def put(path: Path, data: bytes) -> None:
-    """Write a new file, and the folder above it."""
+    """Write a new file, and the folder above it. Raises InputError where it is there: no capture holds a file twice."""
     path.parent.mkdir(exist_ok=True)
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
-        file.write(data)
+    try:
+        with path.open("xb") as file:
+            file.write(data)
+    except FileExistsError:
+        raise InputError(f"{MEMBERS}: lists {path.name} of a capture twice") from None

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 from gen.errors import InputError
 from gen.exr import read_exr, stack
+from gen.files import sha256_of, write_json
 from gen.release.ahead import ahead
-from gen.release.bag import sha256_of
 from gen.release.contents import Contents, Entry, Shard, digest_of, released_files
 from gen.release.layout import CAPTURE, FACTS, PREVIEW
 from gen.release.samples import picture_rows, read_checked, read_index, sample_facts
@@ -99,9 +99,7 @@ def write_shard(folder: SetFolder, contents: Contents, shard: Shard, data: Path,
         sha256_of(part_of(work, shard, "pictures")),
         sha256_of(part_of(work, shard, "members")),
     )
-    note = work / f"{shard.name}.note"
-    note.write_text(json.dumps(asdict(done)) + "\n", encoding="utf-8")
-    os.replace(note, _note(work, shard))
+    write_json(_note(work, shard), asdict(done))
     return done
 
 

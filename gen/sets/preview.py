@@ -58,14 +58,15 @@ def contact_sheet(path: Path, count: int = 24, seed: int = 0, progress: Progress
 
 
 def _of_set(folder: SetFolder, count: int, rng: np.random.Generator, progress: Progress | None) -> Iterator[Entry]:
-    rows = [row for row in folder.rows() if row["status"] == RENDERED]
-    if not rows:
+    total = sum(row["status"] == RENDERED for row in folder.each_row())
+    if not total:
         raise InputError(f"{folder.path}: nothing is rendered yet")
     screened = (folder.path / SCREENING).exists()
     out = {verdict.id: verdict.reason for verdict in screening_of(folder) if not verdict.kept} if screened else {}
-    chosen = _some(len(rows), count, rng)
-    for n, i in enumerate(chosen):
-        row = rows[i]
+    drawn = set(_some(total, count, rng))
+    rendered = (row for row in folder.each_row() if row["status"] == RENDERED)
+    chosen = [row for i, row in enumerate(rendered) if i in drawn]
+    for n, row in enumerate(chosen):
         capture = folder.capture(row["id"])
         k = brightest(capture)
         words = [row["shape"], _gloss(capture), f"picture {k + 1} of {capture.count}" if capture.count > 1 else ""]

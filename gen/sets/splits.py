@@ -7,7 +7,7 @@ item stands.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,9 @@ from gen.sets.set_folder import SetFolder
 
 SPLITS = "splits.json"
 NAMES = ("train", "validation", "test")
+SHARES = (0.8, 0.1, 0.1)
+"""Of the pictures, for each of `NAMES`, where nobody says others."""
+
 KEYS = {"object": "object", "material": "material_key", "lights": "lights_key"}
 """What items may share, and the column of the index that says so."""
 
@@ -55,9 +58,7 @@ class Split:
         }
 
 
-def write_splits(
-    folder: SetFolder, fractions: Sequence[float] = (0.8, 0.1, 0.1), seed: int = 0, by: Sequence[str] = tuple(KEYS)
-) -> Split:
+def write_splits(folder: SetFolder, fractions: Sequence[float] = SHARES, seed: int = 0, by: Sequence[str] = tuple(KEYS)) -> Split:
     """Divide a set and keep the result in its `splits.json`, by a temporary name; see `divide`. A set without screening is screened first.
 
     fractions: of the kept pictures, for training, validation and test. by: names of `KEYS`.
@@ -81,10 +82,23 @@ def read_splits(folder: SetFolder) -> dict[str, tuple[str, ...]]:
     return {name: tuple(ids) for name, ids in splits.items()}
 
 
+def check_options(fractions: Sequence[float], seed: int, by: Sequence[str]) -> tuple[tuple[float, float, float], tuple[str, ...]]:
+    """The fractions and names of `KEYS` that a set is divided by. Raises InputError where these are none, or the seed is below 0."""
+    numbers = [float(f) for f in fractions]
+    if len(numbers) != 3 or not all(math.isfinite(f) and f >= 0 for f in numbers) or abs(sum(numbers) - 1) > 1e-6:
+        raise InputError(f"--fractions {','.join(f'{f:g}' for f in numbers)}: must be three numbers from 0 that add up to 1")
+    if seed < 0:
+        raise InputError(f"--seed {seed}: must be at least 0")
+    unknown = [key for key in by if key not in KEYS]
+    if unknown or not by or len(set(by)) != len(by):
+        raise InputError(f"--by {','.join(by)}: must name one or more of {', '.join(KEYS)}, each once")
+    return (numbers[0], numbers[1], numbers[2]), tuple(by)
+
+
 def divide(
     rows: Sequence[Mapping[str, Any]],
     kept: Mapping[str, int],
-    fractions: Sequence[float] = (0.8, 0.1, 0.1),
+    fractions: Sequence[float] = SHARES,
     seed: int = 0,
     by: Sequence[str] = tuple(KEYS),
 ) -> Split:
@@ -93,7 +107,7 @@ def divide(
     The largest groups go first, each to the split that lacks most; equal ones in an order drawn by the seed. Raises InputError where
     the arguments are wrong, nothing is kept, or the items hang together so that they cannot be divided as asked.
     """
-    shares, keys = _check(fractions, seed, by)
+    shares, keys = check_options(fractions, seed, by)
     items = [row for row in rows if row["id"] in kept]
     if not items:
         raise InputError("no picture of the set was kept, so there is nothing to divide; see degloss gen screen")
@@ -230,13 +244,25 @@ def shared(keys: Sequence[str], columns: Sequence[Sequence[str]], chosen: Sequen
     return notes
 
 
-def _check(fractions: Sequence[float], seed: int, by: Sequence[str]) -> tuple[tuple[float, float, float], tuple[str, ...]]:
-    numbers = [float(f) for f in fractions]
-    if len(numbers) != 3 or not all(math.isfinite(f) and f >= 0 for f in numbers) or abs(sum(numbers) - 1) > 1e-6:
-        raise InputError(f"--fractions {','.join(f'{f:g}' for f in numbers)}: must be three numbers from 0 that add up to 1")
-    if seed < 0:
-        raise InputError(f"--seed {seed}: must be at least 0")
-    unknown = [key for key in by if key not in KEYS]
-    if unknown or not by or len(set(by)) != len(by):
-        raise InputError(f"--by {','.join(by)}: must name one or more of {', '.join(KEYS)}, each once")
-    return (numbers[0], numbers[1], numbers[2]), tuple(by)
+def unsaid(said: Any, rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """What is wrong with the `by` and `notes` of a splits.json, one line each without the file's name.
+
+    said: its content. rows: of the items that are divided, their split and the columns in `KEYS`.
+    """
+    by, notes = _texts(said, "by"), _texts(said, "notes")
+    if not by or notes is None:
+        yield "does not say by what the set is divided (by, notes)"
+        return
+    if strange := [key for key in by if key not in KEYS]:
+        yield f"is divided by {strange[0]!r:.40}; there are {', '.join(KEYS)}"
+        return
+    parts = list(rows)
+    columns = [[f"{key}:{row[KEYS[key]]}" for key in by] for row in parts]
+    for note in shared(by, columns, [row["split"] for row in parts]):
+        if note not in notes:
+            yield f"{note.removesuffix(', as the plan says')}, and it does not say so"
+
+
+def _texts(table: Any, key: str) -> list[str] | None:
+    found = table.get(key) if isinstance(table, dict) else None
+    return found if isinstance(found, list) and all(isinstance(text, str) for text in found) else None

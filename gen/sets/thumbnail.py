@@ -16,7 +16,7 @@ SIDE = 128
 """Its longest side in pixels."""
 
 STEPS = 4096
-"""Of the table that encodes to sRGB: one step is half of an 8-bit one where the curve is steepest."""
+"""Of the table that encodes to sRGB: one step is .80 of an 8-bit one where the curve is steepest."""
 
 
 def thumbnail(picture: NDArray[Any]) -> bytes:

@@ -5,7 +5,6 @@ Checksums come first, and what fails them is never parsed.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from gen.capture import Capture, Fault, read_capture
 from gen.errors import InputError
-from gen.files import MARK, inside, read_json
+from gen.files import MARK, inside, read_json, sha256_of
 from gen.formats.render_folder import is_render
 from gen.sets.layer_checks import faults_of, overexposed
 from gen.sets.plan import Item, Plan, read_plan
@@ -117,7 +116,7 @@ def _plan(folder: SetFolder, about: Mapping[str, Any], faults: list[str]) -> Pla
     if not where.is_file():
         faults.append(f"{PLAN}: is missing")
         return None
-    if _sha256(where) != about.get("plan_sha256"):
+    if sha256_of(where) != about.get("plan_sha256"):
         faults.append(f"{PLAN}: its SHA-256 is not the one in set.json")
         return None
     plan = read_plan(where)
@@ -176,7 +175,7 @@ def _files(place: Path, row: Row, with_item: bool = True) -> Iterator[str]:
             yield f"{name}: is missing"
         elif file.stat().st_size != row["bytes"][name]:
             yield f"{name}: has {file.stat().st_size} bytes, {row['bytes'][name]} were written"
-        elif _sha256(file) != digest:
+        elif sha256_of(file) != digest:
             yield f"{name}: its SHA-256 is not the one that was recorded when it was written"
     if "capture.json" not in row["files"]:
         yield f"{ITEM}: does not list capture.json"
@@ -232,8 +231,3 @@ def _against_row(capture: Capture, row: Row) -> Iterator[str]:
 
 def _names(place: Path) -> list[str]:
     return sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if not path.is_dir() or path.is_symlink())
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

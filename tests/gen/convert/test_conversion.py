@@ -25,14 +25,19 @@ from gen.convert.diligent import write_diligent
 from gen.convert.webdataset import Shards
 from gen.errors import InputError
 from gen.exr import write_exr
+from gen.files import sha256_of
 from gen.formats.render_folder import write_render
 from gen.images import write_png
-from gen.release.bag import sha256_of
-from gen.release.layout import MANIFEST, PICTURES, file_of
+from gen.release.about import About
+from gen.release.build import release_set
+from gen.release.layout import MANIFEST, MEMBERS, PICTURES, file_of
 from gen.release.samples import without_paths
+from gen.release.tables import MEMBERS as MEMBER_COLUMNS
+from gen.release.tables import table_writer
 from gen.sets.set_folder import SetFolder
 from gen.sets.splits import write_splits
 from tests.gen.convert.conftest import contents
+from tests.gen.sets.conftest import store_half_and_cropped
 from tests.gen.test_render_folder import same
 
 LEFT_OPEN = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
@@ -120,6 +125,59 @@ def test_a_release_becomes_what_its_set_would(small_set: SetFolder, released: Pa
         assert contents(tmp_path / "out" / row["folder"]) == contents(wanted)
     with pytest.raises(InputError, match=r"lies in .* itself"):
         convert(released, released / "data" / "new", "exr")
+
+
+def samples(folder: Path) -> dict[str, bytes]:
+    """The files in all shards of a folder by their names."""
+    found = {}
+    for path in sorted(folder.glob("*.tar")):
+        with tarfile.open(path) as archive:
+            for member in archive:
+                found[member.name] = archive.extractfile(member).read()  # type: ignore[union-attr]
+    return found
+
+
+def test_a_set_and_its_release_become_the_same_samples(
+    small_set: SetFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half precision, soft edges and cropping stay; the release's tables are read once, however many captures there are."""
+    folder = SetFolder(Path(shutil.copytree(small_set.path, tmp_path / "set")))
+    store_half_and_cropped(folder, "stack-000001")
+    write_splits(folder, (0.5, 0.25, 0.25), by=("object",))
+    release_set(folder, tmp_path / "release", About("closed-form", "1.0.0", "Closed form", "Closed form.", "degloss"))
+    monkeypatch.setattr("gen.release.reading.read_rows", lambda *_: pytest.fail("a table was searched"))
+    convert(folder.path, tmp_path / "of-set", "webdataset")
+    convert(tmp_path / "release", tmp_path / "of-release", "webdataset")
+    of_set, of_release = samples(tmp_path / "of-set"), samples(tmp_path / "of-release")
+    assert len({name.split(".")[0] for name in of_release}) == 8
+    assert {name: of_set[name] for name in of_release} == of_release
+    picture = folder.item_folder("stack-000001") / "frames/002.exr"
+    assert of_release["stack-000001.002.exr"] == picture.read_bytes()
+
+
+def test_a_release_whose_tables_differ_is_refused(released: Path, tmp_path: Path) -> None:
+    table = pq.read_table(released / MEMBERS)
+    rows = table.to_pylist()
+    first = rows[0]["item"]
+    for some in ([row for row in rows if row["item"] != first], [row for row in rows if row["item"] == first], rows[::-1]):
+        other = Path(shutil.copytree(released, tmp_path / f"release-{len(some)}-{some[0]['item']}"))
+        with table_writer(other / MEMBERS, MEMBER_COLUMNS) as append:
+            append(some)
+        listed = (other / MANIFEST).read_text().replace(sha256_of(released / MEMBERS), sha256_of(other / MEMBERS))
+        (other / MANIFEST).write_text(listed)
+        with pytest.raises(InputError, match=r"holds other captures than data/pictures\.parquet, or in another order"):
+            convert(other, tmp_path / "out", "exr")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_circle_of_links_is_no_output(render: Path, small_set: SetFolder, tmp_path: Path) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    for source in (render, small_set.path):
+        for output in (loop, loop / "out"):
+            with pytest.raises(InputError, match="loop"):
+                convert(source, output, "webdataset")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["loop", "render"]
 
 
 @LEFT_OPEN

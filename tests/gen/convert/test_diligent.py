@@ -90,6 +90,8 @@ def test_faults_and_a_perspective_view_come_back_as_far_as_they_can(tmp_path: Pa
     (tmp_path / "skewed").mkdir()
     assert "the camera's K, which is not of OpenCV's form" in write_diligent(skewed, tmp_path / "skewed")
     assert read_capture(tmp_path / "skewed").scale == Scale()
+    (tmp_path / "afar").mkdir()
+    assert "the camera's distance" in write_diligent(replace(faulty, scale=Scale(0.125, distance_mm=300)), tmp_path / "afar")
 
 
 def test_the_same_capture_gives_the_same_bytes(folder: Path, glossy: Capture, tmp_path: Path) -> None:

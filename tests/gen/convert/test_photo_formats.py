@@ -140,6 +140,12 @@ def test_what_capture_yaml_refuses_is_one_line(tmp_path: Path, glossy: Capture, 
         WRITERS[format](strong, tmp_path)
 
 
+def test_the_distance_of_an_orthographic_camera_is_told(tmp_path: Path, glossy: Capture, format: str) -> None:
+    assert "the camera's distance" in WRITERS[format](replace(glossy, scale=Scale(0.125, distance_mm=300)), tmp_path)
+    assert read_capture(tmp_path).scale == Scale(0.125)
+    assert json.loads((tmp_path / "conversion.json").read_text())["scale"]["distance_mm"] == 300
+
+
 def test_a_skewed_camera_is_told(tmp_path: Path, glossy: Capture) -> None:
     skewed = replace(glossy, scale=Scale(camera=np.array([[800.0, 2, 15], [0, 800, 15], [0, 0, 1]]), distance_mm=300))
     assert "the camera's K, which has a skew" in write_exr_files(skewed, tmp_path)

@@ -158,6 +158,7 @@ def test_a_spec_that_names_a_file_is_released_without_its_folder(rendered_copy: 
     item["spec"]["shape"]["file"] = "/secret/part.stl"
     plan[1] = json.dumps(item, sort_keys=True)
     (rendered_copy.path / "plan.jsonl").write_text("\n".join(plan) + "\n")
+    edit(rendered_copy.path / "set.json", r'"plan_sha256": "\w+"', f'"plan_sha256": "{rendered_copy.plan().digest()}"')
     rows = (rendered_copy.path / "index.jsonl").read_text().splitlines()
     row = json.loads(rows[0])
     row["files"]["capture.json"], row["bytes"]["capture.json"] = hashlib.sha256(text.encode()).hexdigest(), len(text)
@@ -247,8 +248,24 @@ def test_a_full_disk_says_how_to_go_on(
 
 
 def test_one_process_at_a_time(rendered: SetFolder, tmp_path: Path) -> None:
-    with build.workplace(tmp_path / "out", False), pytest.raises(InputError, match="another process is making it"):
-        release(rendered, tmp_path / "out", resume=True)
+    with build.workplace(tmp_path / "out", False) as place:
+        with pytest.raises(InputError, match="another process is making it"):
+            release(rendered, tmp_path / "out", resume=True)
+        assert place.exists()
+
+
+def test_a_set_holds_no_release_of_itself(rendered_copy: SetFolder) -> None:
+    before = contents(rendered_copy.path)
+    with pytest.raises(InputError, match=r"one: lies in .*set itself; choose another place"):
+        release(rendered_copy, rendered_copy.path / "releases/one")
+    assert contents(rendered_copy.path) == before
+
+
+def test_a_name_that_is_too_long_is_one_line(rendered: SetFolder, tmp_path: Path) -> None:
+    for length in (250, 300):  # the hidden folder's name is longer
+        with pytest.raises(InputError, match=r"a: cannot be written \(File name too long\); choose another place with -o"):
+            release(rendered, tmp_path / ("a" * length))
+    assert os.listdir(tmp_path) == []
 
 
 def test_nothing_is_written_over(rendered: SetFolder, tmp_path: Path) -> None:
@@ -268,6 +285,15 @@ REFUSED = {
     "a row changed": (lambda f: append(f / "items/one-000000/item.json"), "item.json: is not the row of the index"),
     "splits": (lambda f: edit(f / "splits.json", "stack-000000", "stack-000099"), "in no split"),
     "too many splits": (lambda f: edit(f / "splits.json", '"test"', '"exam"'), "'exam' is no split"),
+    "another plan": (lambda f: edit(f / "plan.jsonl", '"radius": 1', '"radius": 2'), "plan.jsonl: its SHA-256 is not the one in set"),
+    "no plan": (lambda f: (f / "plan.jsonl").unlink(), "set/plan.jsonl: there is no such file"),
+    "a pipe": (lambda f: ((f / "plan.jsonl").unlink(), os.mkfifo(f / "plan.jsonl")), "set/plan.jsonl: is a pipe or a device"),
+    "a head": (lambda f: edit(f / "set.json", '"seed": 5', '"seed": null'), "set.json: seed is missing or not as a set has it"),
+    "divided by letters": (lambda f: divided(f, by="object"), "splits.json: does not say by what the set is divided"),
+    "divided by nothing": (lambda f: divided(f, by=[]), "splits.json: does not say by what the set is divided"),
+    "notes": (lambda f: divided(f, notes=None), "splits.json: does not say by what the set is divided"),
+    "divided by what is none": (lambda f: divided(f, by=["colour"]), "splits.json: is divided by 'colour'; there are object"),
+    "shared": (lambda f: share(f), "splits.json: train and test share 1 object, and it does not say so; run degloss gen split again"),
     "screening": (lambda f: edit(f / "screening.jsonl", "overexposed\\b.*", "x"), "is not a verdict"),
 }  # fmt: skip
 
@@ -276,6 +302,19 @@ def flip(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
+
+
+def divided(folder: Path, **said: object) -> None:
+    path = folder / "splits.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | said))
+
+
+def share(folder: Path) -> None:
+    """Give a test capture the object of a training one."""
+    donor = json.loads((folder / "splits.json").read_text())["splits"]["train"][0]
+    rows = {row["id"]: row for row in map(json.loads, (folder / "index.jsonl").read_text().splitlines())}
+    rows["test-000000"]["object"] = rows[donor]["object"]
+    (folder / "index.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows.values()))
 
 
 def link(path: Path) -> None:

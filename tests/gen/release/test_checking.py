@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from gen.release.reading import Release
 from gen.release.tables import MEMBERS, PICTURES, table_writer
 from gen.release.tar import ShardWriter
 from gen.sets.verify import verify
-from tests.gen.release.test_build import edit, flip
+from tests.gen.release.test_build import divided, edit, flip
 
 
 def shard_of(release: Path, item: str) -> Path:
@@ -136,7 +137,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "a bit of a table": (lambda f: flip(f / "data/pictures.parquet"), r"^data/pictures.parquet: its SHA-256"),
     "a bit of the plan": (lambda f: flip(f / "data/plan.jsonl"), r"^data/plan.jsonl: its SHA-256"),
     "the card": (lambda f: (f / "README.md").write_text("x"), r"^README.md: its SHA-256"),
-    "the manifest": (lambda f: flip(f / "manifest-sha256.txt"), r"^manifest-sha256.txt: its SHA-256"),
+    "the manifest": (lambda f: flip(f / "manifest-sha256.txt"), r"^manifest-sha256.txt: its SHA-256 is not the one in tagmanifest"),
     "missing shard": (lambda f: shard_of(f, "one-000000").unlink(), r"^data/\S+\.tar: is missing$"),
     "missing tag": (lambda f: (f / "bagit.txt").unlink(), r"^bagit.txt: is missing$"),
     "no provenance": (lambda f: (f / "provenance.json").unlink(), r"^provenance.json: is missing$"),
@@ -157,9 +158,12 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "a shard's name": (lambda f: (change_table(f, "members", lambda r: r.update(shard="../x.tar")), seal(f)), r"speaks of '../x.tar'"),
     "a group": (lambda f: (change_table(f, "pictures", lambda r: r.update(group="x")), seal(f)), r"field json differs from data/pict"),
     "a split": (lambda f: (change_table(f, "pictures", moved), seal(f)), r"is in \w+, data/splits.json says"),
+    "divided by": (lambda f: (divided(f / "data", by="object"), seal(f)), r"^data/splits.json: does not say by what the set is divided"),
+    "no set": (lambda f: (edit(f / "provenance.json", '"set"', '"sat"'), seal(f)), r"^provenance.json: does not say whether specs name"),
     "shared": (lambda f: (share(f), seal(f)), r"^data/splits.json: \w+ and \w+ share 1 object, and it does not say so$"),
     "a shorter plan": (lambda f: (edit(f / "data/plan.jsonl", r".*test-000001.*\n", ""), seal(f)), r"holds 10 items, its first line"),
     "another plan": (lambda f: (edit(f / "data/plan.jsonl", '"radius": 1', '"radius": 2'), seal(f)), r"is not that of its spec"),
+    "no number": (lambda f: (change_table(f, "pictures", lambda r: r.update(pictures=None)), seal(f)), r"^data: its tables hold what no"),
     "columns": (lambda f: (pq.write_table(pa.table({"x": [1]}), f / "data/members.parquet"), seal(f)), r"has other columns than"),
     "no table": (lambda f: ((f / "data/members.parquet").write_bytes(b"PAR1"), seal(f)), r"members.parquet: is not a table that can"),
     "the end": (lambda f: (lengthen(shard_of(f, "one-000000")), seal(f)), r"\.tar: does not end where its last file does$"),
@@ -210,6 +214,27 @@ def test_what_fails_its_checksum_is_never_parsed(released_copy: Path, monkeypatc
     assert len(verify(released_copy).faults) == 1 + len(list((released_copy / "data").glob("*.tar")))
 
 
+UNCOMPARED: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "no declaration": (lambda f: (f / "bagit.txt").unlink(), "bagit.txt: is missing"),
+    "too much information": (lambda f: (f / "bag-info.txt").write_text("x" * 100_001), "bag-info.txt: is too large"),
+    "manifest": (lambda f: flip(f / "manifest-sha256.txt"), "manifest-sha256.txt: its SHA-256 is not the one in tagmanifest-sha256.txt"),
+    "its manifest": (lambda f: outside(f, "../x"), "tagmanifest-sha256.txt: line 11 is no line of a manifest, or names a file twice"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNCOMPARED)
+def test_where_no_checksum_can_be_compared_no_table_is_read(
+    released_copy: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The one fault is named, and nothing untrue beside it."""
+    monkeypatch.setattr("gen.release.checking.read_table", lambda *_: pytest.fail("a table was read"))
+    damage, fault = UNCOMPARED[name]
+    damage(released_copy)
+    flip(released_copy / "data/members.parquet")
+    found = verify(released_copy)
+    assert (found.faults, found.files) == ((fault,), 0)
+
+
 def test_the_command_recognises_a_release(released: Path, released_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     app(["verify", str(released), "--sample", "1"], exit_on_error=False, result_action="return_value")
     assert "whole; 8 items" in capsys.readouterr().out
@@ -219,7 +244,7 @@ def test_the_command_recognises_a_release(released: Path, released_copy: Path, c
     assert capsys.readouterr().out == "LICENSE: its SHA-256 is not the one in the manifest\n"
 
 
-def test_a_reader_compares_checksums_too(released_copy: Path) -> None:
+def test_a_reader_compares_checksums_too(released: Path, released_copy: Path) -> None:
     rows = pq.read_table(released_copy / "data/members.parquet").to_pylist()
     row = next(row for row in rows if (row["item"], row["field"]) == ("one-000000", "001.exr"))
     path = released_copy / "data" / row["shard"]
@@ -230,6 +255,12 @@ def test_a_reader_compares_checksums_too(released_copy: Path) -> None:
         Release(released_copy).capture("one-000000")
     path.write_bytes(data[:2000])
     with pytest.raises(InputError, match=r"has no room for one-000000"):
+        Release(released_copy).capture("one-000000")
+    shutil.copyfile(released / "data" / row["shard"], path)
+    twice = [row for row in rows if (row["item"], row["field"]) == ("one-000000", "mask.png")]
+    with table_writer(released_copy / "data/members.parquet", MEMBERS) as append:
+        append([*rows, *twice])
+    with pytest.raises(InputError, match=r"lists mask.png of a capture twice"):
         Release(released_copy).capture("one-000000")
     change_table(released_copy, "members", lambda r: r.update(shard="../../etc/passwd"))
     with pytest.raises(InputError, match=r"is no name of a shard"):

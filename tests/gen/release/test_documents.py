@@ -18,11 +18,13 @@ from gen.capture import Capture, Truth
 from gen.errors import InputError
 from gen.exr import read_exr
 from gen.release.about import LICENCES, About, release_date
+from gen.release.card import bibtex
 from gen.release.croissant import CONTEXT
 from gen.release.yaml_text import yaml_text
 from gen.sets.set_folder import SetFolder
 from gen.strict_yaml import parse_yaml
 from tests.gen.release.conftest import ABOUT, release
+from tests.gen.sets.conftest import store_half_and_cropped
 
 ROUTES = ("datasets", "webdataset", "OpenEXR", "reading")
 
@@ -180,6 +182,36 @@ def test_the_documents_say_what_they_must(released: Path) -> None:
         assert not re.search(r"\b(None|nan|inf)\b|\{[a-z_.]+\}", (released / name).read_text()), name
 
 
+def test_the_card_speaks_of_all_groups(rendered_copy: SetFolder, tmp_path: Path) -> None:
+    """One group of the set is stored in half precision, cropped; the other two are not."""
+    for row in rendered_copy.rows():
+        if row["group"] == "stack":
+            store_half_and_cropped(rendered_copy, row["id"])
+    release(rendered_copy, tmp_path / "out")
+    card = (tmp_path / "out/README.md").read_text()
+    assert "`diffuse.{R,G,B}` (half or float)" in card
+    assert "`normal.{X,Y,Z}` (float)" in card
+    assert "`faults.V`" in card  # of the stacks alone
+    assert "EXRs store the box around the object only" in card
+
+
+def test_bibtex_reads_any_title_as_text() -> None:
+    """Its braces balance, by which BibTeX finds the end of a field, and no character is a command of LaTeX."""
+    said = About("x", "1.0.0", r"50% {of} A&B_c #1 \ $2 ~ ^", "d", "A } B", url="https://example.org/{a}_b")
+    text = bibtex(said)
+    depth = 0
+    for character in text:
+        depth += {"{": 1, "}": -1}.get(character, 0)
+        assert depth >= 0
+    assert depth == 0
+    title, author = (line for line in text.splitlines() if line.startswith(("  title", "  author")))
+    assert title == (
+        r"  title = {50\% {\textbraceleft}of{\textbraceright} A\&B\_c \#1 {\textbackslash} \$2 {\textasciitilde} {\textasciicircum}},"
+    )
+    assert author == r"  author = {{A {\textbraceright} B}},"
+    assert "  url = {https://example.org/%7Ba%7D_b}" in text
+
+
 def test_a_date_is_only_what_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     assert release_date() is None
@@ -195,6 +227,7 @@ WRONG: Mapping[str, tuple[dict[str, Any], str]] = {
     "version": ({"version": "1.0"}, "--version 1.0: must be three numbers"),
     "licence": ({"licence": "MIT"}, "--license MIT: must be one of CC-BY-4.0"),
     "lines": ({"title": "a\n---\nb"}, "--title: must be one line"),
+    "bytes that are no text": ({"description": "caf\udce9"}, "--description: must be one line of text"),
     "empty": ({"creator": " "}, "--creator: must be one line"),
     "url": ({"url": "ftp://x"}, "--url ftp://x: must start with https://"),
 }

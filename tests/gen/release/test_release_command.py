@@ -103,6 +103,15 @@ def test_the_description_is_the_presets_own() -> None:
 WRONG = {
     "version": (("--version", "one"), "--version one: must be three numbers"),
     "shards": (("--version", "1.0.0", "--shard-mb", "0"), "--shard-mb 0"),
+    "workers": (
+        ("--version", "1.0.0", "--workers", "1"),
+        "--workers is for sets that are rendered here, and .* is rendered already",
+    ),
+    "fractions": (("--version", "1.0.0", "--fractions", "1,0,0"), "--fractions is for sets that are rendered here"),
+    "by": (("--version", "1.0.0", "--by", "object"), "--by is for sets that are rendered here"),
+    "device": (("--version", "1.0.0", "--device", "cpu"), "--device is for sets that are rendered here"),
+    "blender": (("--version", "1.0.0", "--blender", "blender"), "--blender is for sets that are rendered here"),
+    "title": (("--version", "1.0.0", "--title", "\udcff"), "--title: must be one line of text"),
     "licence": (("--version", "1.0.0", "--license", "GPL"), "--license GPL"),
 }
 
@@ -112,6 +121,13 @@ def test_wrong_options_leave_nothing(rendered: SetFolder, tmp_path: Path, name: 
     options, message = WRONG[name]
     with pytest.raises(InputError, match=message):
         call("release", rendered.path, "-o", tmp_path / "out", *options)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("options", [("--by", "colour"), ("--by", ""), ("--fractions", "1,1,1"), ("--fractions", "all")])
+def test_how_to_divide_is_checked_before_anything_is_rendered(tmp_path: Path, options: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match=f"^{options[0]} "):
+        call("release", "smoke", "--version", "1.0.0", "-o", tmp_path / "out", *options)
     assert os.listdir(tmp_path) == []
 
 

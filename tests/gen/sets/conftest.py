@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gen.capture import Capture, Fault
-from gen.formats.render_folder import write_render
+from gen.formats.render_folder import write_files, write_render
 from gen.sets.plan import Item, identities, plan_of, write_plan
 from gen.sets.set_folder import COLUMNS, FORMAT, INDEX, ITEM, ITEMS, PLAN, SET, VERSION, SetFolder, row_text
 
@@ -128,6 +128,22 @@ def _rendered(item: Item, folder: Path, synthetic: Callable[..., Capture]) -> di
     )
     (place / ITEM).write_text(row_text(row) + "\n")
     return row
+
+
+def store_half_and_cropped(folder: SetFolder, item: str) -> None:
+    """Write the files of an item as a spec with half, crop and soft edges would have it, and what the index says of them."""
+    place, capture = folder.item_folder(item), folder.capture(item)
+    kept = (place / ITEM).read_text()
+    shutil.rmtree(place)
+    place.mkdir()
+    coverage = np.where(capture.mask, 0.75, 0).astype(np.float32)
+    write_files(replace(capture, source=item), place, coverage, half=True, crop=True)
+    files = {p.relative_to(place).as_posix(): p.read_bytes() for p in sorted(place.rglob("*")) if p.is_file()}
+    row = json.loads(kept)
+    row["files"] = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    row["bytes"] = {name: len(data) for name, data in files.items()}
+    (place / ITEM).write_text(row_text(row) + "\n")
+    (folder.path / INDEX).write_text((folder.path / INDEX).read_text().replace(kept, row_text(row) + "\n"))
 
 
 def _quarantined(item: Item) -> dict[str, Any]:
