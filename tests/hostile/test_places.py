@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -19,7 +17,7 @@ from gen.exr import write_exr
 from gen.files import write_json, writing, writing_folder
 from gen.formats.render_folder import write_files
 from gen.images import write_png
-from tests.conftest import synthetic_capture
+from tests.conftest import full_disk, synthetic_capture
 from tests.gen.sets.conftest import SET_SPEC, write_set
 from tests.hostile.commands import nobody, require_line, run, tree
 from tests.hostile.files import large_picture
@@ -36,6 +34,9 @@ COMMANDS = [
 ]
 """Commands that write, each of which needs no renderer."""
 
+ROOM = 600
+"""Bytes that a file may grow to on a full disk: the opening of each of theirs."""
+
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -48,19 +49,6 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "closed.yaml").write_text(SET_SPEC.replace("count: 6", "count: 2"))
     write_set(folder / "closed.yaml", folder / "set", synthetic_capture)
     return folder
-
-
-@contextmanager
-def full_disk(room: int = 600) -> Iterator[None]:
-    """No file may grow beyond so many bytes: what a full disk or a quota looks like to a program that writes."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 def refused(
@@ -94,7 +82,7 @@ def nothing() -> Iterator[None]:
 def test_a_full_disk_leaves_nothing_and_says_so(
     command: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    refused(command, inputs, tmp_path / "out", "out", capsys, full_disk, "cannot be written")
+    refused(command, inputs, tmp_path / "out", "out", capsys, lambda: full_disk(ROOM), "cannot be written")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -107,7 +95,7 @@ def test_an_earlier_result_outlives_a_full_disk(
     ]
     assert run(*words).code == 0
     held = tree(output) if output.is_dir() else output.read_bytes()
-    refused(command, inputs, output, "out", capsys, full_disk, "cannot be written")
+    refused(command, inputs, output, "out", capsys, lambda: full_disk(ROOM), "cannot be written")
     assert (tree(output) if output.is_dir() else output.read_bytes()) == held
 
 
@@ -142,16 +130,23 @@ def test_what_may_not_be_read_is_named(name: str, inputs: Path, capsys: pytest.C
         shutil.rmtree(place)
 
 
-PLACES: dict[str, Callable[[Path], Path]] = {
-    "a pipe": lambda folder: (os.mkfifo(folder / "out"), folder / "out")[1],
-    "a device": lambda folder: ((folder / "out").symlink_to("/dev/full"), folder / "out")[1],
-    "a link to itself": lambda folder: ((folder / "out").symlink_to(folder / "out"), folder / "out")[1],
-    "under a file": lambda folder: ((folder / "file").touch(), folder / "file" / "out")[1],
-    "under a link to itself": lambda folder: ((folder / "loop").symlink_to("loop"), folder / "loop" / "out")[1],
-    "a name without end": lambda folder: folder / ("out" * 200),
-    "a path without end": lambda folder: folder / "/".join(["out"] * 2000),
-    "a place of the system": lambda folder: Path("/proc/out/out"),
-    "a folder with other things in it": lambda folder: ((folder / "out" / "mine").mkdir(parents=True), folder / "out")[1],
+PLACES: dict[str, tuple[Callable[[Path], Path], str]] = {
+    # what is there: (what lays it and says where to write, what the line says)
+    "a pipe": (lambda folder: (os.mkfifo(folder / "out"), folder / "out")[1], "is there already"),
+    "a device": (lambda folder: ((folder / "out").symlink_to("/dev/full"), folder / "out")[1], "is there already"),
+    "a link to itself": (lambda folder: ((folder / "out").symlink_to(folder / "out"), folder / "out")[1], "is there already"),
+    "under a file": (lambda folder: ((folder / "file").touch(), folder / "file" / "out")[1], "cannot be written"),
+    "under a link to itself": (
+        lambda folder: ((folder / "loop").symlink_to("loop"), folder / "loop" / "out")[1],
+        "cannot be written",
+    ),
+    "a name without end": (lambda folder: folder / ("out" * 200), "cannot be written"),
+    "a path without end": (lambda folder: folder / "/".join(["out"] * 2000), "cannot be written"),
+    "a place of the system": (lambda folder: Path("/proc/out/out"), "cannot be written"),
+    "a folder with other things in it": (
+        lambda folder: ((folder / "out" / "mine").mkdir(parents=True), folder / "out")[1],
+        "is there already",
+    ),
 }
 
 
@@ -159,9 +154,10 @@ PLACES: dict[str, Callable[[Path], Path]] = {
 def test_a_place_that_cannot_hold_a_folder_is_refused(
     where: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    place = PLACES[where](tmp_path)
+    lay, says = PLACES[where]
+    place = lay(tmp_path)
     before = tree(tmp_path)
-    refused("recon run IN/capture -o OUT --gloss none --inpaint none", inputs, place, "out", capsys, nothing)
+    refused("recon run IN/capture -o OUT --gloss none --inpaint none", inputs, place, "out", capsys, nothing, says)
     assert tree(tmp_path) == before
 
 
@@ -192,6 +188,6 @@ def test_a_writer_leaves_the_earlier_file_where_the_disk_is_full(write: str, tmp
         "json": lambda: write_json(path, noise),
     }
     path.write_text("mine")
-    with full_disk(), pytest.raises(ValueError, match="cannot be written"):
+    with full_disk(ROOM), pytest.raises(ValueError, match="cannot be written"):
         writers[write]()
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "mine")]

@@ -95,7 +95,7 @@ def test_a_picture_that_goes_bad_is_refused_or_was_read_before(change: str, tmp_
 
 def test_a_capture_whose_pictures_change_is_whole_or_refused(tmp_path: Path) -> None:
     lay_photographs(tmp_path)
-    whole = (tmp_path / "3.png").read_bytes()
+    whole, sound = (tmp_path / "3.png").read_bytes(), read_capture(tmp_path).images
 
     def harm(number: int) -> None:
         (tmp_path / "3.png").write_bytes(whole[: len(whole) - 9 * (number % 2)])
@@ -104,7 +104,7 @@ def test_a_capture_whose_pictures_change_is_whole_or_refused(tmp_path: Path) -> 
     with meanwhile(harm):
         for _ in range(30):
             try:
-                assert read_capture(tmp_path).images.shape == (5, 6, 8, 3)
+                np.testing.assert_array_equal(read_capture(tmp_path).images, sound)
             except InputError as error:
                 refusals.append(str(error))
     assert all("3.png" in refusal for refusal in refusals)

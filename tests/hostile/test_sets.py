@@ -143,8 +143,7 @@ def test_a_hostile_set_is_refused(what: str, sound: SetFolder, tmp_path: Path, c
         harm(folder / "set")
 
     command, *options = name.split()
-    place = {"pack": "-o HERE/out.safetensors --kept-only --all", "preview": "-o HERE/out.png"}.get(command, "")
-    place = place.replace("--kept-only ", "")
+    place = {"pack": "-o HERE/out.safetensors --all", "preview": "-o HERE/out.png"}.get(command, "")
     require_refusal(Case(lay, " ".join(["gen", command, "HERE/set", place, *options]), names, says), tmp_path, capfd)
 
 

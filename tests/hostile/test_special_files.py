@@ -14,8 +14,6 @@ import pytest
 from tests.hostile.commands import Case, require_refusal
 from tests.hostile.files import lay_photographs, pack_bytes, png
 
-needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
-
 
 def pipe(path: Path) -> None:
     os.mkfifo(path)
@@ -84,7 +82,7 @@ def with_pack(name: str) -> Callable[[Path], Path]:
 
 INPUTS: dict[str, tuple[Callable[[Path], Path], str]] = {
     # what is replaced: (what lays the rest and says where it goes, the command)
-    "a picture of a table": (beside_photographs("../2.png"), "learn predict specular HERE/2.png -o HERE/out"),
+    "a picture": (alone("a.png"), "learn predict specular HERE/a.png -o HERE/out"),
     "lights": (beside_photographs("lights.txt"), "recon run HERE/photos -o HERE/out"),
     "a spec": (alone("spec.yaml"), "gen render HERE/spec.yaml -o HERE/out"),
     "a set spec": (alone("set.yaml"), "gen plan HERE/set.yaml -o HERE/plan.jsonl"),

@@ -49,7 +49,7 @@ YAML_COMMANDS = {
     "a capture's spec": ("spec.yaml", "gen render HERE/spec.yaml -o HERE/out"),
     "a set's spec": ("set.yaml", "gen plan HERE/set.yaml -o HERE/plan.jsonl"),
     "a benchmark's spec": ("bench.yaml", "recon bench HERE/bench.yaml -o HERE/out"),
-    "what is known of photographs": ("capture.yaml", "recon run HERE -o HERE/out"),
+    "what is known of photographs": ("photos/capture.yaml", "recon run HERE/photos -o HERE/out"),
 }
 
 
@@ -59,87 +59,83 @@ def test_hostile_yaml_is_refused(what: str, kind: str, tmp_path: Path, capfd: py
     (content, says), (name, command) = ANY_YAML[what], YAML_COMMANDS[kind]
 
     def lay(folder: Path) -> None:
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
 
-    require_refusal(Case(lay, command.replace("HERE -o HERE/out", "HERE -o HERE-out"), name, says), tmp_path, capfd)
+    require_refusal(Case(lay, command, name, says), tmp_path, capfd)
     assert not Path("loaded.txt").exists()
 
 
-CHANGES: dict[str, tuple[str, str, str, str]] = {
-    # what is wrong: (the kind, a piece of the sound spec, what stands there instead, what the line says)
-    "a radius that is NaN": ("a capture's spec", "radius: 10", "radius: .nan", "radius"),
-    "a radius without end": ("a capture's spec", "radius: 10", "radius: .inf", "radius"),
-    "a radius below zero": ("a capture's spec", "radius: 10", "radius: -1", "radius"),
-    "a radius of a light year": ("a capture's spec", "radius: 10", "radius: 1e19", ""),
-    "a radius in words": ("a capture's spec", "radius: 10", "radius: ten", "radius"),
-    "a shape that is not known": ("a capture's spec", "name: sphere", "name: teapot", "unknown shape 'teapot'"),
-    "a parameter that is not known": ("a capture's spec", "radius: 10", "radios: 10", "shape"),
-    "a mesh that is not there": ("a capture's spec", "name: sphere, radius: 10", "name: mesh, file: no.stl", "no.stl"),
-    "a mesh that is a Blender file": ("a capture's spec", "name: sphere, radius: 10", "name: mesh, file: x.blend", ".blend"),
-    "a mesh that is a folder": ("a capture's spec", "name: sphere, radius: 10", "name: mesh, file: dir.stl", "is a folder"),
-    "a mesh that is a Blender file by another name": (
-        "a capture's spec",
-        "name: sphere, radius: 10",
-        "name: mesh, file: x.glb",
-        "not a whole GLB",
-    ),
-    "200,000 pixels a side": ("a capture's spec", "[16, 16]", "[200000, 200000]", "resolution"),
-    "no pixels": ("a capture's spec", "[16, 16]", "[0, 16]", "resolution"),
-    "half pixels": ("a capture's spec", "[16, 16]", "[16.5, 16]", "resolution"),
-    "more samples than memory": ("a capture's spec", "[16, 16]", "[8192, 8192]\nsupersampling: 8", "supersampling"),
-    "a million lights": ("a capture's spec", "count: 4", "count: 1000000", "count"),
-    "no lights": ("a capture's spec", "{pattern: ring, count: 4, tilt_degrees: 35, frontal: true}", "[]", "lights"),
-    "a light of no length": (
-        "a capture's spec",
-        "{pattern: ring, count: 4, tilt_degrees: 35, frontal: true}",
-        "[[0, 0, 0]]",
-        "length",
-    ),
-    "a light of no intensity": (
-        "a capture's spec",
-        "{pattern: ring, count: 4, tilt_degrees: 35, frontal: true}",
-        "[{direction: [0, 0, 1], intensity: 0}]",
-        "greater than 0",
-    ),
-    "an albedo above 1": ("a capture's spec", "[0.8, 0.4, 0.2]", "[8, 4, 2]", "between 0 and 1"),
-    "an alpha of nothing": ("a capture's spec", "alpha: 0.1", "alpha: 0", "alpha"),
-    "a material that is not known": ("a capture's spec", "kind: substrate", "kind: slime", "material"),
-    "a camera of no width": ("a capture's spec", "width_mm: 30", "width_mm: 0", "width_mm"),
-    "a camera inside the object": ("a capture's spec", "width_mm: 30", "width_mm: 30, distance_mm: 5", "distance_mm"),
-    "a name that leads up": ("a capture's spec", "name: ball", "name: ../ball", "name"),
-    "a name that is a number": ("a capture's spec", "name: ball", "name: 3", "name"),
-    "a seed below zero": ("a capture's spec", "name: ball", "name: ball\nseed: -1", "seed"),
-    "a set where a capture is asked for": ("a set's spec", "set: small", "name: small", ""),
-    "a set of a billion": ("a set's spec", "count: 2\n    each", "count: 1000000000\n    each", "count"),
-    "a set of too many together": ("a set's spec", "[0.1, 0.2]", f"{list(range(1, 60_000))}", ""),
-    "a group whose name leads up": ("a set's spec", "name: one", "name: ../one", "name"),
-    "a draw that is none": ("a set's spec", "uniform: [6, 10]", "uniform: [10, 6]", "radius"),
-    "a draw of NaN": ("a set's spec", "uniform: [6, 10]", "uniform: [.nan, 6]", "radius"),
-    "a draw that is not known": ("a set's spec", "uniform: [6, 10]", "gaussian: [6, 10]", ""),
-    "a path that leads nowhere": ("a set's spec", "material.alpha", "material.kind.x", ""),
-    "a path that is none": ("a set's spec", "material.alpha", "'..'", "dotted path"),
-    "a method that is not known": ("a benchmark's spec", "chromaticity", "magic", "unknown gloss remover"),
-    "a method twice": ("a benchmark's spec", "[none, chromaticity]", "[none, none]", "twice"),
-    "draws of two lights": ("a benchmark's spec", "lights: 3", "lights: 2", "lights"),
-    "captures that are not there": ("a benchmark's spec", "path: here", "path: gone", "gone"),
-    "captures in three ways": ("a benchmark's spec", "path: here", "path: here, set: x", "exactly one"),
-    "a seed of 100 digits": ("a benchmark's spec", "seed: 1", "seed: " + "9" * 100, "seed"),
-    "a pattern over all folders": ("what is known of photographs", "*.png", "**/*.png", "may not hold"),
-    "a pattern that leads up": ("what is known of photographs", "*.png", "../*.png", "leads out"),
-    "an absolute pattern": ("what is known of photographs", "*.png", "/etc/*", "leads out"),
-    "a pattern that finds nothing": ("what is known of photographs", "*.png", "*.gif", "finds no pictures"),
-    "a light too few": ("what is known of photographs", ", [0, -0.5, 0.9]", "", "4 for 5 pictures"),
-    "a direction beyond numbers": ("what is known of photographs", "[0, -0.5, 0.9]", "[0, 1e200, 0.9]", "must lie within"),
-    "a direction of NaN": ("what is known of photographs", "[0, -0.5, 0.9]", "[0, .nan, 0.9]", "lights"),
-    "a mask that leads up": ("what is known of photographs", "mm_per_pixel: 0.1", "mask: ../mask.png", "leads out"),
-    "a scale of nothing": ("what is known of photographs", "mm_per_pixel: 0.1", "mm_per_pixel: 0", "mm_per_pixel"),
-    "a dark frame that is not there": ("what is known of photographs", "mm_per_pixel: 0.1", "dark: [no.png]", "no.png"),
-    "intensities below zero": (
-        "what is known of photographs",
-        "intensities: equal",
-        "intensities: [-1, 1, 1, 1, 1]",
-        "intensities",
-    ),
+RING = "{pattern: ring, count: 4, tilt_degrees: 35, frontal: true}"
+"""The lights of the sound spec of a capture."""
+
+CHANGES: dict[str, dict[str, tuple[str, str, str]]] = {
+    # the kind: what is wrong: (a piece of the sound spec, what stands there instead, what the line says)
+    "a capture's spec": {
+        "a radius that is NaN": ("radius: 10", "radius: .nan", "radius"),
+        "a radius without end": ("radius: 10", "radius: .inf", "radius"),
+        "a radius below zero": ("radius: 10", "radius: -1", "radius"),
+        "a radius of a light year": ("radius: 10", "radius: 1e19", ""),
+        "a radius in words": ("radius: 10", "radius: ten", "radius"),
+        "a shape that is not known": ("name: sphere", "name: teapot", "unknown shape 'teapot'"),
+        "a parameter that is not known": ("radius: 10", "radios: 10", "shape"),
+        "a mesh that is not there": ("name: sphere, radius: 10", "name: mesh, file: no.stl", "no.stl"),
+        "a mesh that is a Blender file": ("name: sphere, radius: 10", "name: mesh, file: x.blend", ".blend"),
+        "a mesh that is a folder": ("name: sphere, radius: 10", "name: mesh, file: dir.stl", "is a folder"),
+        "a mesh that is a Blender file by another name": (
+            "name: sphere, radius: 10",
+            "name: mesh, file: x.glb",
+            "not a whole GLB",
+        ),
+        "200,000 pixels a side": ("[16, 16]", "[200000, 200000]", "resolution"),
+        "no pixels": ("[16, 16]", "[0, 16]", "resolution"),
+        "half pixels": ("[16, 16]", "[16.5, 16]", "resolution"),
+        "more samples than memory": ("[16, 16]", "[8192, 8192]\nsupersampling: 8", "supersampling"),
+        "a million lights": ("count: 4", "count: 1000000", "count"),
+        "no lights": (RING, "[]", "lights"),
+        "a light of no length": (RING, "[[0, 0, 0]]", "length"),
+        "a light of no intensity": (RING, "[{direction: [0, 0, 1], intensity: 0}]", "greater than 0"),
+        "an albedo above 1": ("[0.8, 0.4, 0.2]", "[8, 4, 2]", "between 0 and 1"),
+        "an alpha of nothing": ("alpha: 0.1", "alpha: 0", "alpha"),
+        "a material that is not known": ("kind: substrate", "kind: slime", "material"),
+        "a camera of no width": ("width_mm: 30", "width_mm: 0", "width_mm"),
+        "a camera inside the object": ("width_mm: 30", "width_mm: 30, distance_mm: 5", "distance_mm"),
+        "a name that leads up": ("name: ball", "name: ../ball", "name"),
+        "a name that is a number": ("name: ball", "name: 3", "name"),
+        "a seed below zero": ("name: ball", "name: ball\nseed: -1", "seed"),
+    },
+    "a set's spec": {
+        "a set where a capture is asked for": ("set: small", "name: small", ""),
+        "a set of a billion": ("count: 2\n    each", "count: 1000000000\n    each", "count"),
+        "a set of too many together": ("[0.1, 0.2]", f"{list(range(1, 60_000))}", ""),
+        "a group whose name leads up": ("name: one", "name: ../one", "name"),
+        "a draw that is none": ("uniform: [6, 10]", "uniform: [10, 6]", "radius"),
+        "a draw of NaN": ("uniform: [6, 10]", "uniform: [.nan, 6]", "radius"),
+        "a draw that is not known": ("uniform: [6, 10]", "gaussian: [6, 10]", ""),
+        "a path that leads nowhere": ("material.alpha", "material.kind.x", ""),
+        "a path that is none": ("material.alpha", "'..'", "dotted path"),
+    },
+    "a benchmark's spec": {
+        "a method that is not known": ("chromaticity", "magic", "unknown gloss remover"),
+        "a method twice": ("[none, chromaticity]", "[none, none]", "twice"),
+        "draws of two lights": ("lights: 3", "lights: 2", "lights"),
+        "captures that are not there": ("path: here", "path: gone", "gone"),
+        "captures in three ways": ("path: here", "path: here, set: x", "exactly one"),
+        "a seed of 100 digits": ("seed: 1", "seed: " + "9" * 100, "seed"),
+    },
+    "what is known of photographs": {
+        "a pattern over all folders": ("*.png", "**/*.png", "may not hold"),
+        "a pattern that leads up": ("*.png", "../*.png", "leads out"),
+        "an absolute pattern": ("*.png", "/etc/*", "leads out"),
+        "a pattern that finds nothing": ("*.png", "*.gif", "finds no pictures"),
+        "a light too few": (", [0, -0.5, 0.9]", "", "4 for 5 pictures"),
+        "a direction beyond numbers": ("[0, -0.5, 0.9]", "[0, 1e200, 0.9]", "must lie within"),
+        "a direction of NaN": ("[0, -0.5, 0.9]", "[0, .nan, 0.9]", "lights"),
+        "a mask that leads up": ("mm_per_pixel: 0.1", "mask: ../mask.png", "leads out"),
+        "a scale of nothing": ("mm_per_pixel: 0.1", "mm_per_pixel: 0", "mm_per_pixel"),
+        "a dark frame that is not there": ("mm_per_pixel: 0.1", "dark: [no.png]", "no.png"),
+        "intensities below zero": ("intensities: equal", "intensities: [-1, 1, 1, 1, 1]", "intensities"),
+    },
 }
 SOUND = {
     "a capture's spec": SPHERE,
@@ -149,22 +145,25 @@ SOUND = {
 }
 
 
-@pytest.mark.parametrize("what", CHANGES)
-def test_a_spec_that_asks_for_what_cannot_be_is_refused(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    kind, old, new, says = CHANGES[what]
-    name, command = YAML_COMMANDS[kind]
+@pytest.mark.parametrize(("kind", "what"), [(kind, what) for kind, changes in CHANGES.items() for what in changes])
+def test_a_spec_that_asks_for_what_cannot_be_is_refused(
+    kind: str, what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (old, new, says), (name, command) = CHANGES[kind][what], YAML_COMMANDS[kind]
     assert SOUND[kind].count(old) == 1
 
     def lay(folder: Path) -> None:
-        if name == "capture.yaml":
-            lay_photographs(folder)
-        (folder / "x.blend").write_bytes(b"BLENDER-v405" + b"\0" * 64 + b"import os; os.system('touch loaded.txt')")
-        (folder / "x.glb").write_bytes((folder / "x.blend").read_bytes())
-        (folder / "dir.stl").mkdir()
+        place = (folder / name).parent
+        if kind == "what is known of photographs":
+            place.mkdir()
+            lay_photographs(place)
+        (place / "x.blend").write_bytes(b"BLENDER-v405" + b"\0" * 64 + b"import os; os.system('touch loaded.txt')")
+        (place / "x.glb").write_bytes((place / "x.blend").read_bytes())
+        (place / "dir.stl").mkdir()
         (folder / name).write_text(SOUND[kind].replace(old, new))
 
     names = says if "mesh" in what or "not there" in what else "" if "photographs" in kind else name
-    require_refusal(Case(lay, command.replace("HERE -o HERE/out", "HERE -o HERE-out"), names, says), tmp_path, capfd)
+    require_refusal(Case(lay, command, names, says), tmp_path, capfd)
 
 
 CONFIG = """\

@@ -80,7 +80,7 @@ TABLES: dict[str, tuple[str, str | bytes | Callable[[], bytes], str]] = {
     "mask: black": ("mask.png", lambda: png_of_zeros(), "mask is empty"),
     "mask: a TIFF that is cut": ("mask.png", lambda: tiff()[:-60], "damaged or truncated"),
     "mask: two of them": ("MASK.tif", tiff, "more than one mask"),
-    "mask: another size": ("mask.png", lambda: sized(7, 9), "must have one size"),
+    "mask: another size": ("mask.png", lambda: sized(7, 9), "the mask is 9x7 pixels"),
     "normals: Python objects": ("normal_gt.npy", lambda: saved(CELLS, True), "Python objects"),
     "normals: Python objects in an archive": (
         "normal_gt.npz",
@@ -91,8 +91,14 @@ TABLES: dict[str, tuple[str, str | bytes | Callable[[], bytes], str]] = {
     "normals: records": ("normal_gt.npy", lambda: saved(np.zeros((6, 8), [("x", "f8"), ("y", "f8")])), "Python objects or text"),
     "normals: text": ("normal_gt.npy", lambda: saved(np.full((6, 8, 3), "a")), "Python objects or text"),
     "normals: another shape": ("normal_gt.npy", lambda: saved(UP[:5]), "the pictures ask for"),
+    "normals: another shape in an archive": (
+        "normal_gt.npz",
+        lambda: npz_of({"normal.npy": saved(UP[:5])}),
+        "shape (5, 8, 3), the pictures ask for",
+    ),
     "normals: cut": ("normal_gt.npy", lambda: saved(UP)[:-8], "ends early"),
     "normals: all zero": ("normal_gt.npy", lambda: saved(0 * UP), "unit normals"),
+    "normals: seven long": ("normal_gt.npy", lambda: saved(7 * UP), "unit normals"),
     "normals: all NaN": ("normal_gt.npy", lambda: saved(np.nan * UP), "unit normals"),
     "normals: all infinite": ("normal_gt.npy", lambda: saved(np.full((6, 8, 3), np.inf)), "unit normals"),
     "normals: as large as numbers go": ("normal_gt.npy", lambda: saved(1e300 * UP), "unit normals"),
@@ -115,6 +121,7 @@ TABLES: dict[str, tuple[str, str | bytes | Callable[[], bytes], str]] = {
     "normals: another MATLAB variable": ("Normal_gt.mat", lambda: matlab(N=UP), "must hold Normal_gt"),
     "normals: MATLAB 7.3": ("Normal_gt.mat", hdf, "MATLAB 7.3"),
     "normals: no MATLAB file": ("Normal_gt.mat", b"\x00" * 600, "Normal_gt.mat"),
+    "normals: text by the name of a MATLAB file": ("Normal_gt.mat", "hello" * 100, "damaged or truncated"),
     "normals: a row too few": ("normal.txt", "0 0 1\n" * 47, "47 normals for 48 pixels"),
     "normals: a picture of floats": ("normals.png", lambda: tiff_of_floats(), "8 or 16-bit picture"),
     "depth: below zero": ("depth_gt.npz", lambda: npz_of({"depth.npy": saved(np.full((6, 8), -1.0))}), "no positive depth"),
@@ -171,7 +178,7 @@ def lay_psm(folder: Path, table: str) -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        (f"{DIGITS}\nthing/0.png\n", "not a capture"),
+        (f"{DIGITS}\nthing/0.png\n", "is a file, but a capture is a folder or its list"),
         ("3\nthing/0.png\nthing/1.png\n", "says 3 pictures"),
         ("2\nthing/0.png\n../../etc/a.png\n", "leads out"),
         ("2\nthing/0.png\nthing/0.png\n", "twice"),
@@ -180,5 +187,5 @@ def lay_psm(folder: Path, table: str) -> None:
 )
 def test_a_hostile_list_is_refused(table: str, says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     require_refusal(
-        Case(lambda folder: lay_psm(folder, table), "recon run HERE/thing.txt -o HERE/out", "thing", ""), tmp_path, capfd
+        Case(lambda folder: lay_psm(folder, table), "recon run HERE/thing.txt -o HERE/out", "thing.txt", says), tmp_path, capfd
     )
