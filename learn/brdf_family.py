@@ -50,7 +50,8 @@ class Material:
 @dataclass(frozen=True)
 class Family:
     """Shares of what `random_material` draws; the ranges are in its docstring. matte: captures without or nearly without gloss. metal:
-    those with metal, inlaid: of these, with metal in parts only."""
+    those with metal, inlaid: of these, with metal in parts only. broad: of the glossy ones that are no metal, those whose lobes are made
+    broad."""
 
     matte: float = 0.3
     metal: float = 0.18
@@ -58,6 +59,7 @@ class Family:
     two_lobes: float = 0.4
     sheen: float = 0.12
     gloss_maps: float = 0.35
+    broad: float = 0.0
     oren_nayar: float = 0.4
     coats: Mapping[int, float] = field(default_factory=lambda: {BARE: 0.45, SUBSTRATE: 0.35, COATED: 0.2})
     albedos: Mapping[str, float] = field(
@@ -90,10 +92,10 @@ NARROW = Family(
 def random_material(draws: Draws, count: int, size: int, family: Family = WIDE) -> Material:
     """Materials of `count` captures of size x size pixels.
 
-    alpha: .02 to .9 log-uniform, the second lobe's too; F0: .02 to .6, half of them log-uniform; Oren-Nayar's sigma: 0 to .8. Matte ones:
-    a third without a lobe, the others with F0 .01 to .04 and alpha .4 to .9; half of them Oren-Nayar of sigma .2 to .8. Metal: alpha .03
-    to .8, coloured F0 .4 to .98; inlaid in a pattern, or all of it. Gloss maps vary alpha by up to 3 times either way within the range,
-    and the lobe's strength.
+    alpha: .02 to .9 log-uniform, the second lobe's too, broad ones .45 to .9; F0: .02 to .6, half of them log-uniform; Oren-Nayar's
+    sigma: 0 to .8. Matte ones: a third without a lobe, the others with F0 .01 to .04 and alpha .4 to .9; half of them Oren-Nayar of sigma
+    .2 to .8. Metal: alpha .03 to .8, coloured F0 .4 to .98; inlaid in a pattern, or all of it. Gloss maps vary alpha by up to 3 times
+    either way within the range, and the lobe's strength.
     """
     rng = draws.rng
     matte = rng.random(count) < family.matte
@@ -112,6 +114,9 @@ def random_material(draws: Draws, count: int, size: int, family: Family = WIDE) 
     alphas = np.exp(rng.uniform(low, high, (2, count)))
     alphas = np.where(metal, np.exp(rng.uniform(np.log(0.03), np.log(0.8), (2, count))), alphas)
     alphas = np.where(matte, rng.uniform(0.4, 0.9, (2, count)), alphas)
+    if family.broad:  # drawn only where it is asked for: other families stay as they are
+        broad = ~matte & ~metal & (rng.random(count) < family.broad)
+        alphas = np.where(broad, rng.uniform(0.45, 0.9, (2, count)), alphas)
     specular = np.where(
         rng.random(count) < 0.5, np.exp(rng.uniform(np.log(0.02), np.log(0.6), count)), rng.uniform(0.02, 0.6, count)
     )

@@ -38,6 +38,7 @@ OPTIONS: Mapping[str, Any] = {
     "rendered": 0.12,
     "dropped": 0.1,
     "clean": 0.0,
+    "broad": 0.0,
 }
 """Options of `World` and their defaults; lights: None is "mixed"."""
 
@@ -89,7 +90,8 @@ class World:
     batches has a quarter of the captures at twice the size. lights: "mixed", a number, or weights of 1, 2, ... lights; a batch has one
     number. world: a key of `WORLDS`. captures: path of a pack of rendered captures (`learn.rendered`), which a share `rendered` of the
     batches is taken from. dropped: share of batches in which the network is not told the lights. clean: share of batches of the world
-    "narrow", whatever `world` is: lights as stated, plain materials, as the paper's stacks have them. batch: captures in a batch.
+    "narrow", whatever `world` is: lights as stated, plain materials, as the paper's stacks have them. broad: share of the glossy captures
+    in these whose lobes are made broad. batch: captures in a batch.
     Raises InputError for an unknown or impossible option and a pack that does not serve.
     """
 
@@ -101,7 +103,7 @@ class World:
             raise InputError(f"batch = {batch!r} must be a whole number from 1")
         if options["world"] not in WORLDS:
             raise InputError(f"data: world = {options['world']!r} is unknown; there are {', '.join(WORLDS)}")
-        for share in ("reliefs", "large", "rendered", "dropped", "clean"):
+        for share in ("reliefs", "large", "rendered", "dropped", "clean", "broad"):
             if not 0 <= options[share] <= 1:
                 raise InputError(f"data: {share} = {options[share]:g} must be a share from 0 to 1")
         if not 16 <= options["size"] <= 1024:
@@ -112,6 +114,8 @@ class World:
         self.large: float = options["large"]
         self.dropped: float = options["dropped"]
         self.clean: float = options["clean"]
+        narrow = WORLDS["narrow"]
+        self.plain = replace(narrow, family=replace(narrow.family, broad=options["broad"]))
         self.kind = WORLDS[options["world"]]
         self.device = torch.device(device)
         self.captures, self.seed = batch, seed
@@ -129,7 +133,7 @@ class World:
         large, rendered, told = draws.rng.random(3) < (self.large, self.rendered, 1 - self.dropped)
         size, B = (2 * self.size, max(self.captures // 4, 1)) if large else (self.size, self.captures)
         # drawn only where it is asked for: batches of a world without clean ones stay as they are
-        kind = WORLDS["narrow"] if self.clean and draws.rng.random() < self.clean else self.kind
+        kind = self.plain if self.clean and draws.rng.random() < self.clean else self.kind
         with torch.no_grad():
             taken = self.renders if rendered else None
             made = self._rendered(draws, taken, B, K, size, kind) if taken else self._relit(draws, B, K, size, kind)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
@@ -19,7 +18,7 @@ from gen.formats.render_folder import write_files
 from gen.images import write_png
 from tests.conftest import full_disk, synthetic_capture
 from tests.gen.sets.conftest import SET_SPEC, write_set
-from tests.hostile.commands import nobody, require_line, run, tree
+from tests.hostile.commands import bound_by_permissions, require_line, run, tree
 from tests.hostile.files import large_picture
 from tests.hostile.readers import SET
 
@@ -100,34 +99,21 @@ def test_an_earlier_result_outlives_a_full_disk(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_may_not_be_written_is_refused(command: str, inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As a user without rights: root, whom the tests may run as, is stopped by no permission, so its rights are laid down for it."""
-    place = Path(tempfile.mkdtemp(prefix="degloss-hostile-", dir="/tmp"))  # one that others may enter, unlike pytest's
-    try:
-        shutil.copytree(inputs, place / "inputs")
-        (place / "locked").mkdir()
-        for path in (place, *place.rglob("*")):
-            path.chmod(0o755)
-        (place / "locked").chmod(0o555)
-        refused(command, place / "inputs", place / "locked" / "out", "out", capsys, nobody, "cannot be written")
-    finally:
-        (place / "locked").chmod(0o755)
-        shutil.rmtree(place)
+def test_a_folder_that_may_not_be_written_is_refused(
+    command: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "locked").mkdir(mode=0o555)
+    refused(command, inputs, tmp_path / "locked" / "out", "out", capsys, bound_by_permissions, "cannot be written")
 
 
 @pytest.mark.parametrize("name", ["capture/capture.json", "capture/frames/002.exr", "capture/mask.png", "capture"])
-def test_what_may_not_be_read_is_named(name: str, inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    place = Path(tempfile.mkdtemp(prefix="degloss-hostile-", dir="/tmp"))
+def test_what_may_not_be_read_is_named(name: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(inputs / "capture", tmp_path / "capture")
+    (tmp_path / name).chmod(0o000)
     try:
-        shutil.copytree(inputs / "capture", place / "capture")
-        place.chmod(0o777)
-        for path in place.rglob("*"):
-            path.chmod(0o755)
-        (place / name).chmod(0o000)
-        refused("recon run IN/capture -o OUT", place, place / "out", name, capsys, nobody)
+        refused("recon run IN/capture -o OUT", tmp_path, tmp_path / "out", name, capsys, bound_by_permissions)
     finally:
-        (place / name).chmod(0o755)
-        shutil.rmtree(place)
+        (tmp_path / name).chmod(0o755)
 
 
 PLACES: dict[str, tuple[Callable[[Path], Path], str]] = {

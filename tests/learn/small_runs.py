@@ -15,6 +15,9 @@ from learn.config import Config, parse_config, read_config
 
 ITEMS, FRAMES, SIDE = 4, 2, 24
 
+TIMES = ("seconds", "pictures_per_second", "waiting_for_data")
+"""Columns of a log that no two runs share."""
+
 
 def write_tiny_pack(path: Path) -> Path:
     """Random layers of 4 items with 2 pictures each, everything that any method asks for."""

@@ -28,10 +28,7 @@ from learn.method import METHODS
 from learn.methods.single import Specular
 from learn.train import Summary, main, train
 from learn.weights import load_weights
-from tests.learn.small_runs import smoke_config, with_text, write_tiny_pack
-
-TIMES = ("seconds", "pictures_per_second", "waiting_for_data")
-"""Columns of the log that no two runs share."""
+from tests.learn.small_runs import TIMES, smoke_config, with_text, write_tiny_pack
 
 
 @pytest.fixture(scope="module")
