@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,6 +66,38 @@ def test_rendering_again_and_again_stays_bounded(runs: int) -> None:
     # Megabytes a run. What a replaced worker gives back does not count; the allocator's own ups and downs do, both of them.
     assert growth[growth > -30].sum() / len(growth) < 3
     assert not set(worker_memory()) - others
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system has no /proc")
+@pytest.mark.parametrize(
+    ("method", "steps"),
+    [("specular", 60), *(pytest.param(name, 1000, marks=pytest.mark.soak) for name in ("specular", "group"))],
+)
+def test_training_on_and_on_leaks_nothing(method: str, steps: int, tmp_path: Path) -> None:
+    """With a log, samples, validation and checkpoints all the time; looked at fifty times a second."""
+    pytest.importorskip("torch")
+    from learn.train import train
+    from tests.learn.small_runs import smoke_config, write_tiny_pack
+
+    often = {"log_every": 10, "sample_every": 25, "validate_every": 20, "checkpoint_every": 10}
+    config = smoke_config(method, write_tiny_pack(tmp_path / "tiny.safetensors"), steps=steps, **often)
+    memory, files, over = [], [], threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.02):
+            memory.append(resident())
+            files.append(open_files())
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        assert train(config, tmp_path / "run", device="cpu", progress=None).steps == steps
+    finally:
+        over.set()
+        watcher.join()
+    third = len(memory) // 3
+    assert np.median(memory[-third:]) - np.median(memory[third : 2 * third]) < 20
+    assert max(files[-third:]) <= max(files[third : 2 * third])
 
 
 def worker_memory() -> dict[int, int]:
