@@ -23,7 +23,7 @@ bench: $(STAMP)
 	$(BIN)/python -m recon.bench
 	$(BIN)/python -m recon.normals.bench
 	$(BIN)/python -m recon.repair.bench
-	$(BIN)/python -m recon.multiview.bench
+	rm -rf out/bench-multiview && $(BIN)/degloss recon bench multiview -o out/bench-multiview --workers $(WORKERS)
 	$(BIN)/python -m recon.height.bench
 	$(BIN)/python -m gen.bench
 	$(BIN)/python -m gen.deviation

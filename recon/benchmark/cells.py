@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gen.capture import Capture
-from gen.errors import InputError
+from gen.errors import InputError, MissingPart
 from recon.benchmark.spec import Combination
 from recon.benchmark.units import Unit
 from recon.compare import deviation, truth_figures
@@ -25,6 +25,9 @@ SIDE = 192
 """Pixels of the longer side of a map on the page."""
 
 YARDSTICK = "true-matte"
+
+PART_MISSING = "part missing"
+"""The key of rows that failed since something is not installed: a run that is gone on with tries them again."""
 
 Row = dict[str, Any]
 
@@ -61,6 +64,7 @@ def measure_unit(unit: Unit, combinations: Sequence[Combination]) -> tuple[list[
             shapes[combination] = replace(shape, images=shape.images[:0], weights=shape.weights[:0])
         except InputError as error:
             row["failed"] = str(error).removeprefix(capture.source).lstrip(": ")
+            row |= {PART_MISSING: True} if isinstance(error, MissingPart) else {}
     _judge(capture, shapes, rows, {name: layers for name, (layers, _) in removed.items()})
     maps = maps_of(capture, shapes) if unit.draw == 0 else {}
     return list(rows.values()), maps

@@ -22,34 +22,34 @@ def bench(
 ) -> None:
     """Compare methods on captures with truth: every remover, repair, solver and integrator that the spec names, combined.
 
-    Writes results.jsonl (a row for each measurement), summary.json, table.md and report.html. An interrupted run goes on with --resume.
+    A spec of views compares the meshes of objects seen from several sides instead, each view's gloss removed before they are joined.
+
+    Writes results.jsonl (a row for each measurement), summary.json, table.md and report.html. An interrupted run goes on with --resume;
+    methods that were left out for a missing package are tried again.
 
     Parameters
     ----------
     spec
-        A YAML file, or a shipped benchmark: paper, zoo, diligent, diligent-few.
+        A YAML file, or a shipped benchmark: paper, zoo, diligent, diligent-few, multiview.
     captures
         Captures, set folders or folders of captures, in place of the spec's own. The benchmarks diligent need the folder of DiLiGenT's
-        objects.
+        objects. For a spec of views: folders of views, as degloss recon multiview takes them, or folders of such folders.
     output
         The folder of the run.
     workers
-        Processes that measure at the same time.
+        Processes that render, and then measure, at the same time.
     resume
         Go on with a run that is there.
     limit
-        At most so many captures, evenly spaced: a smaller benchmark for a first look.
+        At most so many captures, evenly spaced: a smaller benchmark for a first look. For a spec of views: so many objects.
     json
         Print the summary as one JSON object on stdout.
     """
     from gen.errors import InputError
     from gen.files import dumps, keep_apart, write_json, writing
-    from gen.sets.set_spec import evenly
-    from recon.benchmark.page import benchmark_page
-    from recon.benchmark.run import begin, check_folder, maps_there, run_units
-    from recon.benchmark.spec import Source, read_benchmark
-    from recon.benchmark.summary import markdown, summarise
-    from recon.benchmark.units import places, units
+    from recon.benchmark.run import begin, check_folder, run_tasks
+    from recon.benchmark.spec import read_benchmark
+    from recon.benchmark.work import work_of
     from recon.page import write_report
     from recon.progress import steps
 
@@ -61,28 +61,25 @@ def bench(
     if captures:
         for path in captures:
             keep_apart(path, output)
-        sources, folder = tuple(Source(path=str(path)) for path in captures), Path()
-        wanted = wanted.model_copy(update={"captures": sources})
-    if not wanted.captures:
-        raise InputError(f"{spec}: names no captures; give their folder, as in: degloss recon bench {spec} FOLDER -o {output}")
+        wanted, folder = wanted.of(captures), Path()
+    if not wanted.sources:
+        what = "captures" if wanted.views is None else "views"
+        raise InputError(f"{spec}: names no {what}; give their folder, as in: degloss recon bench {spec} FOLDER -o {output}")
     check_folder(output, wanted, resume)
-    if any(source.path is None for source in wanted.captures):
+    if any(source.path is None for source in wanted.sources):
         begin(output, wanted)  # what is rendered is kept; where nothing is, a slip in the paths leaves no folder behind
-    combinations = wanted.combinations()
     try:
         with steps() as step:
             step("finding and rendering captures")
-            where = places(wanted.captures, folder, output / "captures")
-            every = units(wanted, [where[i] for i in evenly(len(where), limit)])
+            work = work_of(wanted, folder, output, workers, limit)
             begin(output, wanted)
-            step.expect(len(every))
-            rows = run_units(output, every, combinations, workers, lambda done, of: step(f"measuring, {done} of {of} done"))
+            step.expect(len(work.tasks))
+            rows = run_tasks(output, work.tasks, workers, lambda done, of: step(f"measuring, {done} of {of} done"))
+        results = work.results(rows)
+        write_json(output / "summary.json", results.summary)
+        with writing(output / "table.md") as temporary:
+            temporary.write_text(results.table, encoding="utf-8")
+        write_report(output, results.page)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; what is measured is kept in {output}: run the same command with --resume") from None
-    summary = summarise(rows, combinations, wanted.seed)
-    write_json(output / "summary.json", summary)
-    text = markdown(wanted.benchmark, summary)
-    with writing(output / "table.md") as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    write_report(output, lambda: benchmark_page(wanted.benchmark, summary, maps_there(output, every)))
-    print(dumps(summary) if json else f"{text}\n{output}")
+    print(dumps(results.summary) if json else f"{results.table}\n{output}")

@@ -1,9 +1,10 @@
-"""The spec of a benchmark: which captures, which draws of their lights, which methods; a YAML file or a shipped preset."""
+"""The spec of a benchmark: which captures or views, which draws of their lights, which methods; a YAML file or a shipped preset."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -26,16 +27,25 @@ MAX_CELLS = 5000
 Combination = tuple[str, str, str, str]
 """Gloss remover, repair, solver, integrator."""
 
+_NOT_OF_VIEWS = {
+    "captures": "they are two benchmarks; write a file for each",
+    "height": "their integrator is always quadratic; leave it out",
+    "draws": "they are measured under all their lights; leave it out",
+    "skip": "they are measured under all their lights; leave it out",
+}
+"""Keys of a benchmark of captures alone -> why."""
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Source(_Part):
-    """Where captures come from: exactly one of path, preset and set.
+    """Where captures, or objects seen from several sides, come from: exactly one of path, preset and set.
 
-    path: a capture, a set folder, or a folder of captures; relative to the spec's folder. preset: a shipped spec of one capture, or a spec
-    file; set: a shipped set or a file, rendered into the benchmark's folder. limit: at most so many, evenly spaced.
+    path: a capture, a set folder, or a folder of captures; of views, a folder that `recon.multiview.views.read_views` takes, or a folder of
+    those; relative to the spec's folder. preset: a shipped spec of one capture, or a spec file; set: a shipped set or a file; both are
+    rendered into the benchmark's folder. limit: at most so many captures or objects, evenly spaced.
     """
 
     path: str | None = None
@@ -59,11 +69,17 @@ class Draws(_Part):
 
 
 class Benchmark(_Part):
-    """A whole benchmark. draws: None takes all lights of each capture. skip: capture name -> pictures (from 1) that are never used."""
+    """A whole benchmark, of captures or of views.
+
+    captures: each is measured by itself. views: of objects, each measured from all its sides to one mesh (`recon.multiview`), always by the
+    integrator "quadratic" and under all lights; None: a benchmark of captures. draws: None takes all lights of each capture. skip: capture
+    name -> pictures (from 1) that are never used.
+    """
 
     benchmark: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")
     seed: Whole = Field(default=0, ge=0, lt=2**63)
     captures: tuple[Source, ...] = Field(default=(), max_length=1000)
+    views: tuple[Source, ...] | None = Field(default=None, max_length=1000)
     draws: Draws | None = None
     skip: dict[str, tuple[Whole, Whole]] = Field(default_factory=dict)
     gloss: Names = ("none",)
@@ -83,30 +99,66 @@ class Benchmark(_Part):
             raise ValueError("names one method twice")
         return names
 
+    @field_validator("views")
+    @classmethod
+    def _are_objects(cls, sources: tuple[Source, ...] | None) -> tuple[Source, ...] | None:
+        for source in sources or ():
+            if source.preset is not None:
+                raise ValueError(f"the preset {source.preset} is one capture, not views of an object; name a path or a set")
+            if source.set is not None and source.limit is not None:
+                raise ValueError(f"the set {source.set} is one object, whose views all count; a limit is for a path of several")
+        return sources
+
+    @model_validator(mode="after")
+    def _is_of_one_kind(self) -> Benchmark:
+        for name, why in _NOT_OF_VIEWS.items():
+            if self.views is not None and name in self.model_fields_set:
+                raise ValueError(f"{name}: does not go with views: {why}")
+        return self
+
     @model_validator(mode="after")
     def _is_bounded(self) -> Benchmark:
         if len(self.combinations()) > MAX_CELLS:
             raise ValueError(f"asks for {len(self.combinations())} combinations of methods, at most {MAX_CELLS} are done")
         return self
 
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Of the captures or the views."""
+        return self.captures if self.views is None else self.views
+
+    def of(self, paths: Iterable[Path]) -> Benchmark:
+        """The same benchmark of other captures or views."""
+        name = "captures" if self.views is None else "views"
+        return self.model_copy(update={name: tuple(Source(path=str(path)) for path in paths)})
+
     def combinations(self) -> list[Combination]:
         """Every combination of methods, those of the glossy and the non-glossy pictures with each solver and integrator first.
 
         The true matte pictures are never repaired: there is nothing to repair in them.
         """
-        yardsticks = list(product(("none", "true-matte"), ("none",), self.normals, self.height))
-        asked = product(self.gloss, self.repair, self.normals, self.height)
+        height = self.height
+        if self.views is not None:
+            from recon.multiview.measure import INTEGRATOR
+
+            height = (INTEGRATOR,)
+        yardsticks = list(product(("none", "true-matte"), ("none",), self.normals, height))
+        asked = product(self.gloss, self.repair, self.normals, height)
         return list(dict.fromkeys([*yardsticks, *(c for c in asked if not (c[0].startswith("true-") and c[1] != "none"))]))
 
+    def plain(self) -> dict[str, Any]:
+        """Everything that decides the figures, as JSON has it."""
+        return self.model_dump(mode="json", exclude={"views"} if self.views is None else set(_NOT_OF_VIEWS))
+
     def digest(self) -> str:
-        """Of everything that decides the figures."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        """Of `plain`."""
+        return hashlib.sha256(json.dumps(self.plain(), sort_keys=True).encode()).hexdigest()
 
 
 _KNOWN = {
     "": tuple(Benchmark.model_fields),
     "captures[]": tuple(Source.model_fields),
+    "views[]": tuple(Source.model_fields),
     "draws": tuple(Draws.model_fields),
 }
 _SYNONYMS = {"name": "benchmark", "inpaint": "repair", "solver": "normals", "integrator": "height", "subsets": "draws"}

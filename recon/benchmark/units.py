@@ -41,11 +41,11 @@ class Unit:
         return whole if list(self.lights) == list(range(whole.count)) else whole.select(list(self.lights))
 
 
-def places(sources: Iterable[Source], folder: Path, rendered: Path) -> list[tuple[str, str, Path]]:
+def places(sources: Iterable[Source], folder: Path, rendered: Path, workers: int = 1) -> list[tuple[str, str, Path]]:
     """(name, group, path) of every capture of the sources, in order, each once.
 
-    folder: where relative paths start. rendered: where captures of presets and sets are rendered, or were by an earlier run. Raises
-    InputError where a path holds no capture, and as rendering does.
+    folder: where relative paths start. rendered: where captures of presets and sets are rendered, or were by an earlier run. workers: that
+    render at the same time. Raises InputError where a path holds no capture, and as rendering does.
     """
     found: dict[Path, tuple[str, str, Path]] = {}
     for source in sources:
@@ -54,7 +54,7 @@ def places(sources: Iterable[Source], folder: Path, rendered: Path) -> list[tupl
         elif source.preset is not None:
             here = [_render_one(source.preset, rendered)]
         else:
-            here = list(_under(_render_set(str(source.set), source.limit, rendered)))
+            here = list(_under(rendered_set(str(source.set), rendered, workers, source.limit)))
         for i in evenly(len(here), source.limit):
             found.setdefault(real(here[i][2]), here[i])
     names = [name for name, _, _ in found.values()]
@@ -117,12 +117,13 @@ def _render_one(preset: str, rendered: Path) -> tuple[str, str, Path]:
     return spec.name, spec.name, place
 
 
-def _render_set(preset: str, limit: int | None, rendered: Path) -> Path:
+def rendered_set(preset: str, rendered: Path, workers: int = 1, limit: int | None = None) -> Path:
+    """The folder in `rendered` of a shipped set or a set's file; all of it, or at most `limit` items, is rendered unless it was before."""
     from gen.sets.campaign import Engine, render_set
     from gen.sets.plan import plan_of
 
     place = rendered / (Path(preset).stem if limit is None else f"{Path(preset).stem}-{limit}")
     plan = plan_of(preset, limit)
     rendered.mkdir(parents=True, exist_ok=True)
-    render_set(plan, place, Engine(), resume=place.exists())
+    render_set(plan, place, Engine(workers), resume=place.exists())
     return place

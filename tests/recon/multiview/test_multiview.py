@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 from gen.errors import InputError
-from recon.multiview import bench
 from recon.multiview.compare import compare, nearest, true_surface
 from recon.multiview.depth import Surface, matching_picture, photometric, refined
 from recon.multiview.fuse import fuse, without_debris
@@ -290,12 +289,6 @@ def test_the_command_writes_meshes_depths_and_figures(tmp_path: Path, capsys: py
     view = read_views(tmp_path / "views")[0][1]
     assert np.nanmedian(np.abs(1000 * depth - true_depth(view))) < 0.3
     assert (tmp_path / "out/depth/003.png").is_file()
-
-
-def test_the_benchmark_says_what_is_wrong_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        bench.main([str(tmp_path)])
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_the_table_has_a_line_for_every_row_and_says_what_failed() -> None:
