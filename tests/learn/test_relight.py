@@ -225,3 +225,14 @@ def test_the_family_covers_what_it_promises() -> None:
     narrow = random_material(draws, 200, 8, NARROW)
     assert narrow.metal.max() == narrow.sigma.max() == narrow.mix.max() == narrow.sheen.max() == 0
     assert WIDE.matte == 0.3
+
+
+def test_a_share_of_the_glossy_ones_is_broad() -> None:
+    families = [NARROW, replace(NARROW, broad=0.4), replace(NARROW, broad=1.0)]
+    plain, some, every = (random_material(Draws(3, 0, CPU), 1000, 8, family) for family in families)
+    narrow = [float((material.alpha < 0.39).float().mean()) for material in (plain, some, every)]
+    assert narrow[0] > 0.5
+    assert 0.4 * narrow[0] < narrow[1] < 0.8 * narrow[0]
+    assert narrow[2] == 0
+    assert 0.4 <= every.alpha.min() <= every.alpha.max() <= 0.9
+    assert torch.equal(plain.coat, every.coat)

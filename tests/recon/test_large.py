@@ -183,8 +183,7 @@ def test_the_bench_sees_the_steps(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("options", [[], ["--gloss", "chromaticity"]], ids=["group", "chromaticity"])
-def test_24_megapixels_fit_into_8_gb(options: list[str], tmp_path: Path) -> None:
-    figures = big_bench.measured(24.0, options, tmp_path)
+def test_24_megapixels_fit_into_8_gb(tmp_path: Path) -> None:
+    figures = big_bench.measured(24.0, [], tmp_path)
     assert figures["resident"] < 8e9
     assert figures["height error px"] < 10  # of 240: a tile that had a brightness of its own, or a level, would show
