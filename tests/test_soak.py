@@ -97,7 +97,7 @@ def test_training_on_and_on_leaks_nothing(method: str, steps: int, tmp_path: Pat
         watcher.join()
     third = len(memory) // 3
     assert np.median(memory[-third:]) - np.median(memory[third : 2 * third]) < 20
-    assert max(files[-third:]) <= max(files[third : 2 * third])
+    assert np.median(files[-third:]) <= np.median(files[third : 2 * third])  # a file is open now and then while it is written
 
 
 def worker_memory() -> dict[int, int]:
