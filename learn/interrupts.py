@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from learn.checkpoint import random_state
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+"""An alarm counts where its own handler takes it for an interrupt: `degloss` puts those off that meet an import."""
 
 
 class Interrupts:
@@ -31,7 +32,8 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
-                if signal.getsignal(number) != signal.SIG_IGN:  # nohup's wish stands
+                handler = signal.getsignal(number)
+                if callable(handler) if number == signal.SIGALRM else handler != signal.SIG_IGN:  # nohup's wish stands
                     self._before[number] = signal.signal(number, self._note)
         return self
 
@@ -51,11 +53,17 @@ class Interrupts:
             self._allowed = False
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        before = self._before[signal.Signals(number)]
+        before, told = self._before[signal.Signals(number)], number != signal.SIGALRM
         if callable(before):
-            with suppress(KeyboardInterrupt):  # the command's own handler must know too, but the moment is ours
-                before(number, frame)
+            try:
+                before(number, frame)  # the command's own handler must know too, but the moment is ours
+            except KeyboardInterrupt:
+                told = True
+            if told:
+                signal.setitimer(signal.ITIMER_REAL, 0)  # nor may it come back in a moment, wherever we are then
+        if not told:
+            return
+        self.asked = True
         if self._allowed:
             self._allowed = False
             raise KeyboardInterrupt

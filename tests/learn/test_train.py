@@ -23,6 +23,7 @@ from safetensors.torch import load_file
 from gen.errors import InputError
 from learn.bench import bench, report
 from learn.config import Config, read_config
+from learn.interrupts import Interrupts
 from learn.logs import CsvLog, write_png
 from learn.method import METHODS
 from learn.methods.single import Specular
@@ -321,3 +322,46 @@ def test_pngs_are_read_back_as_they_were(tmp_path: Path) -> None:
     assert np.array_equal(cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)[..., ::-1], picture[:, ::-1])
     with pytest.raises(InputError, match="uint8"):
         write_png(tmp_path / "b.png", picture.astype(np.float32))
+
+
+@pytest.mark.parametrize("when", ["before", "within"])
+def test_an_interrupt_that_was_put_off_is_noted_once(when: str) -> None:
+    """`degloss` puts off those that meet an import; an alarm in the midst of a checkpoint would break that off."""
+    heard = []
+
+    def put_off(number: int, frame: object) -> None:
+        heard.append(number)
+        if number == signal.SIGALRM:
+            raise KeyboardInterrupt
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+
+    handlers = {number: signal.signal(number, put_off) for number in (signal.SIGINT, signal.SIGALRM)}
+    try:
+        if when == "before":
+            os.kill(os.getpid(), signal.SIGINT)
+        with Interrupts() as interrupts:
+            if when == "within":
+                os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            assert interrupts.asked
+            with pytest.raises(KeyboardInterrupt), interrupts.allowed():
+                pass
+        assert heard == [signal.SIGINT, signal.SIGALRM][: 1 if when == "within" else 2]
+        assert signal.getsignal(signal.SIGALRM) is put_off
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def test_an_alarm_of_somebody_else_is_theirs() -> None:
+    heard = []
+    before = signal.signal(signal.SIGALRM, lambda number, frame: heard.append(number))
+    try:
+        with Interrupts() as interrupts, interrupts.allowed():
+            signal.setitimer(signal.ITIMER_REAL, 0.005)
+            time.sleep(0.03)
+        assert heard == [signal.SIGALRM]
+        assert not interrupts.asked
+    finally:
+        signal.signal(signal.SIGALRM, before)
