@@ -25,7 +25,7 @@ LEARNED = ("weights", "checkpoint")
 SLOW = ("weights", "stl-text", "set-spec", "capture-spec", "true-normals-mat", "obj", "ply", "ply-text", "view", "frame")
 """Readers that take milliseconds a file: fewer of them in the suite."""
 
-SECONDS = float(os.environ.get("DEGLOSS_FUZZ_SECONDS", "15"))
+SECONDS = float(os.environ.get("DEGLOSS_FUZZ_SECONDS", "10"))
 """Of the long campaign, a reader."""
 
 steps = st.lists(
