@@ -108,6 +108,8 @@ class World:
                 raise InputError(f"data: {share} = {options[share]:g} must be a share from 0 to 1")
         if not 16 <= options["size"] <= 1024:
             raise InputError(f"data: size = {options['size']} must be from 16 to 1024 pixels")
+        if options["broad"] and not options["clean"]:
+            raise InputError(f"data: broad = {options['broad']:g} is a share of the clean batches, and clean = 0 leaves none")
         counts = light_counts("mixed" if options["lights"] is None else options["lights"])
         self.size: int = options["size"]
         self.reliefs: float = options["reliefs"]
@@ -115,7 +117,7 @@ class World:
         self.dropped: float = options["dropped"]
         self.clean: float = options["clean"]
         narrow = WORLDS["narrow"]
-        self.plain = replace(narrow, family=replace(narrow.family, broad=options["broad"]))
+        self.clean_kind = replace(narrow, family=replace(narrow.family, broad=options["broad"]))
         self.kind = WORLDS[options["world"]]
         self.device = torch.device(device)
         self.captures, self.seed = batch, seed
@@ -133,7 +135,7 @@ class World:
         large, rendered, told = draws.rng.random(3) < (self.large, self.rendered, 1 - self.dropped)
         size, B = (2 * self.size, max(self.captures // 4, 1)) if large else (self.size, self.captures)
         # drawn only where it is asked for: batches of a world without clean ones stay as they are
-        kind = self.plain if self.clean and draws.rng.random() < self.clean else self.kind
+        kind = self.clean_kind if self.clean and draws.rng.random() < self.clean else self.kind
         with torch.no_grad():
             taken = self.renders if rendered else None
             made = self._rendered(draws, taken, B, K, size, kind) if taken else self._relit(draws, B, K, size, kind)

@@ -304,6 +304,7 @@ def test_the_number_of_lights_is_as_asked() -> None:
         ({"reliefs": 1.5}, 2, "reliefs = 1.5"),
         ({"clean": -0.1}, 2, "clean = -0.1"),
         ({"broad": 1.5}, 2, "broad = 1.5"),
+        ({"broad": 0.5}, 2, "clean = 0 leaves none"),
         ({"lights": 0}, 2, "lights = 0 must be"),
         ({"lights": [0.0, -1.0]}, 2, "lights ="),
         ({"lights": "few"}, 2, "lights = 'few'"),
