@@ -26,7 +26,10 @@ from gen.spec_parts import Orthographic
 
 SAMPLES_PER_JOB = 1 << 18
 SUM_TOLERANCE = 1e-6
-"""Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum."""
+"""Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum. Cycles adds
+up the samples of a pixel, and of many of them each may add `ROUNDING`."""
+
+ROUNDING = 2.0**-23
 
 Progress = Callable[[int, int], None]
 """Called with (pictures done, pictures in all)."""
@@ -144,7 +147,7 @@ def load_shot(spec: Spec, job: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         if shot[name].shape != shape or not np.isfinite(shot[name]).all():
             raise RenderFailed(f"{where}: the worker's layer '{name}' is not {shape} of finite numbers")
     off = float(shot["sum_error"].max())
-    if off > SUM_TOLERANCE:
+    if off > max(SUM_TOLERANCE, ROUNDING * job["samples"]):
         raise RenderFailed(f"{where}: the picture differs from diffuse + specular by {off:g} of its peak")
     return shot
 

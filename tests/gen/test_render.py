@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gen.assemble import assemble
+from gen.assemble import PER_VIEW, assemble
 from gen.capture import Capture, Fault, grey, read_capture
 from gen.errors import InputError
 from gen.farm import Farm
-from gen.render import jobs_of, render, render_capture
+from gen.render import RenderFailed, jobs_of, load_shot, render, render_capture
 from gen.spec import Spec, read_spec, spec_from
 from gen.substrate import shade
 
@@ -233,3 +233,16 @@ def test_jobs_hold_every_light_once_and_in_order(workers: int, resolution: list[
     assert np.array_equal(directions, spec.light_directions())
     assert max(len(job["lights"]) for job in jobs) <= -(-10 // workers)
     assert len({job["id"] for job in jobs}) == len({job["out"] for job in jobs}) == len(jobs)
+
+
+@pytest.mark.parametrize("samples, off, fits", [(1, 9e-7, True), (1, 1.1e-6, False), (32, 1.1e-6, True), (32, 4e-6, False)])
+def test_a_picture_of_many_samples_may_round_more_often(samples: int, off: float, fits: bool, tmp_path: Path) -> None:
+    path = tmp_path / "shot.npz"
+    np.savez(path, sum_error=np.array([off]), box=np.array([0, 0, 2, 2]), **dict.fromkeys(PER_VIEW, np.zeros((2, 2))))
+    spec = spec_with(resolution=[2, 2])
+    job = {"id": "1", "out": str(path), "lights": [], "layers": [], "crop": True, "samples": samples}
+    if fits:
+        assert load_shot(spec, job)["sum_error"] == off
+    else:
+        with pytest.raises(RenderFailed, match="differs from diffuse"):
+            load_shot(spec, job)
