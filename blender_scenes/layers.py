@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,26 +12,50 @@ from blender_scenes.materials import Material, Placed
 
 Floats = NDArray[np.float32]
 
+CACHED = 1 << 14
+"""Sub-samples of a strip: a few layers of it take less than a megabyte."""
+
 
 def radiance(
     passes: Mapping[str, Floats], material: Material, placed: Placed, wanted: Collection[str]
-) -> tuple[dict[str, Floats], float]:
-    """The wanted ones of combined, diffuse, specular and matte, each (H, W, 3), of one light from its passes; and the largest
-    |combined - (diffuse + specular)| over the largest combined, 0 where all is black.
+) -> tuple[dict[str, Floats], float, float]:
+    """The wanted ones of combined, diffuse, specular and matte, each (H, W, 3), of one light from its passes; the largest
+    |combined - (diffuse + specular)|, and the largest combined.
 
     combined is Cycles' own; diffuse and specular are each light times colour. Cycles divides its light pass by the colour, so
     DiffDir is what a white Lambertian surface would show, shadows included (under a light divided by the gain), and the matte twin is
     albedo * gain * DiffDir: exactly so at one surface point, which is why pixels are averaged afterwards (`block_mean`).
     """
-    combined = passes["Combined"][..., :3]
+    combined = _colour(passes["Combined"])
     parts = {"combined": combined, "diffuse": _times(passes, "Diff"), "specular": _times(passes, "Gloss")}
     rest = combined - parts["diffuse"]
     rest -= parts["specular"]
     off, peak = max(float(rest.max()), -float(rest.min())), float(combined.max())
     if "matte" in wanted:
-        albedo = passes["albedo"] * np.float32(placed.gain) if "albedo" in placed.passes else placed.gain * material.albedo
-        parts["matte"] = np.multiply(passes["DiffDir"], albedo.astype(np.float32), out=rest)
-    return {name: part for name, part in parts.items() if name in wanted}, off / peak if peak > 0 else float(off > 0)
+        if "albedo" in placed.passes:
+            albedo = _colour(passes["albedo"]) * np.float32(placed.gain)
+        else:  # a row of it: numpy is slow where it has but three numbers in a go
+            albedo = np.tile((placed.gain * material.albedo).astype(np.float32), (rest.shape[1], 1))
+        parts["matte"] = np.multiply(passes["DiffDir"], albedo, out=rest)
+    return {name: part for name, part in parts.items() if name in wanted}, off, peak
+
+
+def strips(height: int, width: int, n: int) -> Iterator[tuple[slice, slice]]:
+    """Rows of sub-samples, whole pixels high, that a processor's cache holds, and the rows of pixels which they make."""
+    high = max(CACHED // (width * n), 1)
+    for top in range(0, height // n, high):
+        end = min(top + high, height // n)
+        yield slice(top * n, end * n), slice(top, end)
+
+
+def _colour(array: Floats) -> Floats:
+    """The first three channels of (H, W, 3 or 4), as an array of its own where there are four: copied a pixel at a time, not a number."""
+    if array.shape[-1] == 3:
+        return array
+    pixel = np.dtype({"names": ["colour"], "formats": ["V12"], "offsets": [0], "itemsize": 16})
+    colour = np.empty((*array.shape[:-1], 3), np.float32)
+    colour.view("V12")[..., 0] = array.view(pixel)["colour"][..., 0]
+    return colour
 
 
 def _times(passes: Mapping[str, Floats], name: str) -> Floats:

@@ -101,18 +101,27 @@ class _Studio:
             found["lit"] = np.ones((len(job.lights), y1 - y0, x1 - x0), np.float32)
         errors = np.zeros(len(job.lights), np.float32)
         for k, lights in enumerate(job.lights):
-            parts: Arrays = {}
             # What holds for one light alone is added up: light is additive.
-            for group in [(light,) for light in lights] if material.one_light else [lights]:
+            groups = [(light,) for light in lights] if material.one_light else [lights]
+            before: Arrays = {}
+            for group in groups:
                 passes = self._render(placed, group)
-                found_here, error = layers.radiance(passes, material, placed, wanted)
-                for name, part in found_here.items():
-                    parts[name] = parts[name] + part if name in parts else part
-                errors[k] = max(errors[k], error)
+                last, largest = group is groups[-1], np.zeros(2)
+                for fine, rows in layers.strips((y1 - y0) * n, x1 - x0, n):
+                    strip = {name: values[fine] for name, values in passes.items()}
+                    parts, *extremes = layers.radiance(strip, material, placed, wanted)
+                    largest = np.maximum(largest, extremes)
+                    for name, part in parts.items():
+                        if name in before:
+                            part += before[name][fine]
+                        if last:
+                            found[name][k, rows] = layers.block_mean(part, n)
+                        else:
+                            before.setdefault(name, np.zeros((*passes["Combined"].shape[:2], 3), np.float32))[fine] = part
+                off, peak = largest
+                errors[k] = max(errors[k], off / peak if peak > 0 else float(off > 0))
                 if view and k == 0 and "coverage" not in found:
                     found |= layers.view(passes, material, n)
-            for name, part in parts.items():
-                found[name][k] = layers.block_mean(part, n)
             if "lit" in wanted and len(lights) == 1 and isinstance(lights[0], Sun | Point):
                 found["lit"][k] = layers.lit(passes, n)
         if view:

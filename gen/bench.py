@@ -33,6 +33,10 @@ BLENDERPROC = "BLENDERPROC_PYTHON"
 """The environment variable that names a Python with BlenderProc and bpy, in place of --blenderproc."""
 
 
+TIMES = 3
+"""How often the preset's items are rendered in one go: of a few, the files of the last one, which no render runs beside, would count."""
+
+
 def bare(jobs: Sequence[dict[str, Any]], processes: int, threads: int) -> float:
     """Pictures a second of the bare loop: `processes` of them at once, each over all jobs, with `threads` each."""
     with tempfile.TemporaryDirectory() as scratch:
@@ -86,7 +90,11 @@ def measure(preset: str, rounds: int, python: str | None) -> dict[str, Any]:
     frames: dict[str, list[dict[str, Any]]] = {}
     for name, crop in (("crop", True), ("full frame", False)):
         # Ks = 0 would be a second render of every picture.
-        items[name] = [replace(item, spec={**item.spec, "ks0": False, "crop": crop}) for item in plan_of(preset).items]
+        items[name] = [
+            replace(item, id=f"{item.id}-{again}", spec={**item.spec, "ks0": False, "crop": crop})
+            for again in range(TIMES)
+            for item in plan_of(preset).items
+        ]
         frames[name] = [job for item in items[name] for job in item_jobs(item.capture_spec(), Path("unused"))]
     rows: dict[str, list[float]] = {}
     starts: list[float] = []

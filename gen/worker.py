@@ -21,6 +21,10 @@ from typing import Any
 from gen.errors import InputError
 from gen.parts import BLENDERS_PLACES
 
+KEEPS_MEMORY = {"MALLOC_MMAP_THRESHOLD_": 1 << 25, "MALLOC_TRIM_THRESHOLD_": 1 << 26, "MALLOC_TOP_PAD_": 1 << 24}
+"""What a worker is told of memory, in bytes (glibc's mallopt; elsewhere it means nothing): keep up to 64 MiB of what a render gave back,
+since asking the system for it again, and having it zeroed, takes a tenth of a small render's time. The caller's own settings come first."""
+
 
 class WorkerLost(Exception):
     """A worker process crashed, hung or spoke nonsense. ended: its exit code where it ended by itself."""
@@ -179,7 +183,8 @@ def _options(jobs: int, replies: int, threads: int, device: str) -> list[str]:
 
 
 def _environment(blender: str | None) -> dict[str, str]:
+    around = {name: str(size) for name, size in KEEPS_MEMORY.items()} | os.environ
     if blender is not None:
-        return dict(os.environ)
+        return around
     paths = [str(_package().parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return {**around, "PYTHONPATH": os.pathsep.join(paths)}
