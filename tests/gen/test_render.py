@@ -235,7 +235,7 @@ def test_jobs_hold_every_light_once_and_in_order(workers: int, resolution: list[
     assert len({job["id"] for job in jobs}) == len({job["out"] for job in jobs}) == len(jobs)
 
 
-@pytest.mark.parametrize("samples, off, fits", [(1, 9e-7, True), (1, 1.1e-6, False), (32, 1.1e-6, True), (32, 4e-6, False)])
+@pytest.mark.parametrize(("samples", "off", "fits"), [(1, 9e-7, True), (1, 1.1e-6, False), (32, 1.1e-6, True), (32, 4e-6, False)])
 def test_a_picture_of_many_samples_may_round_more_often(samples: int, off: float, fits: bool, tmp_path: Path) -> None:
     path = tmp_path / "shot.npz"
     np.savez(path, sum_error=np.array([off]), box=np.array([0, 0, 2, 2]), **dict.fromkeys(PER_VIEW, np.zeros((2, 2))))
