@@ -22,6 +22,9 @@ PLAIN = 0.3
 PICTURE = {"matte": 0.25, "diffuse": 0.2}
 """Weights of the logarithmic errors of the layers."""
 
+COLOUR = 0.5
+"""Weight of the angle in radians between the matte layer's colour, over all lights, and the true one's."""
+
 EARLIER = 0.4
 """Weight of the layers before the refinements, all together."""
 
@@ -104,11 +107,16 @@ def judge(found: GroupLayers, batch: CaptureBatch) -> tuple[Tensor, dict[str, Te
         total = total + HARM * (torch.log(measured + KNEE) - torch.log(before + KNEE)).clamp(min=0).mean()
     for name, weight in PICTURE.items():
         total = total + weight * errors[name]
+    colour = angle(*(unit((layers * shown[:, :, None]).sum(1)) for layers in (found.matte, batch.matte)))
+    seen = inside * (shown.sum(1) > 0)
+    colour = (colour * seen).sum() / seen.sum().clamp(min=1)
+    total = total + COLOUR * colour
     figures = {
         "degrees": measured.mean(),
         "degrees_plain": plain.mean(),
         "degrees_input": before.mean(),
         "harmed": (measured > before).float().mean(),
+        "degrees_colour": torch.rad2deg(colour),
     }
     return total, {
         **{key: value.detach() for key, value in figures.items()},

@@ -21,6 +21,12 @@ CERTAIN = 2.0
 DOUBTED = -4.0
 """What is added to that logit where a sample is not valid: clipped or dark."""
 
+UNDETERMINED = 0.2
+"""How well spread the trusted lights of a pixel must be for its normal, beside all lights (see `undetermined`)."""
+
+RETURNED = 0.1
+"""Share of the pixel's largest confidence that all samples are given back where what is trusted says nothing of the normal."""
+
 MATTE = 5.0
 """Logit of the diffuse share before training: nearly all of the input is diffuse."""
 
@@ -261,11 +267,39 @@ def assemble(images: Tensor, outputs: Tensor, doubt: Tensor, lights: Tensor | No
     matte = shown * torch.exp(gain.clamp(-6, 3))
     diffuse = images * torch.sigmoid(share + MATTE)
     confidence = torch.sigmoid(trust + CERTAIN + doubt)
+    if lights is not None:
+        given_back = RETURNED * undetermined(confidence, lights) * confidence.amax(1, keepdim=True)
+        confidence = (confidence + given_back * torch.sigmoid(CERTAIN + doubt)).clamp(max=1)
     if lights is None:
         normals = images.new_zeros(images.shape[0], 3, *images.shape[-2:])
     else:
         normals = unit(weighted_least_squares(luminance(matte), lights, confidence))
     return GroupLayers(matte, diffuse, images - diffuse, confidence, normals)
+
+
+@in_full
+def undetermined(confidence: Tensor, lights: Tensor) -> Tensor:
+    """How far the lights that a pixel's confidence trusts leave its normal open, 0 to 1: (B, 1, H, W); 0 for fewer than three lights.
+
+    confidence: (B, K, H, W). lights: (B, K, 3). By the determinant of the weighted normal matrix over the cube of its trace, beside that of
+    all lights alike: 1 where the trusted lights lie in a plane, 0 where they are at least `UNDETERMINED` times as well spread as all are.
+    """
+    if lights.shape[1] < 3:
+        return torch.zeros_like(confidence[:, :1])
+    spread = _spread(confidence, lights)
+    whole = _spread(torch.ones_like(confidence[..., :1, :1]), lights)
+    return (1 - spread / (UNDETERMINED * whole).clamp(min=1e-9)).clamp(min=0).unsqueeze(1)
+
+
+def _spread(weights: Tensor, lights: Tensor) -> Tensor:
+    """Determinant over cubed trace of sum_k w_k l_k l_k^T, (B, H, W); at most 1/27."""
+    b, k, h, w = weights.shape
+    l0, l1, l2 = lights.unbind(-1)
+    products = torch.stack([l0 * l0, l1 * l1, l2 * l2, l0 * l1, l0 * l2, l1 * l2], 1)
+    xx, yy, zz, xy, xz, yz = torch.bmm(products, weights.reshape(b, k, h * w)).reshape(b, 6, h, w).unbind(1)
+    trace = (xx + yy + zz).clamp(min=1e-12)
+    xx, yy, zz, xy, xz, yz = (entry / trace for entry in (xx, yy, zz, xy, xz, yz))
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
 
 
 def _zero(layer: nn.Conv2d) -> nn.Conv2d:

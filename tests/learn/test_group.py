@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -11,9 +12,20 @@ import torch
 
 from gen.errors import InputError
 from learn.method import create_method
+from learn.methods.group import judge
 from learn.models import create_model
 from learn.models.evidence import evidence, luminance
-from learn.models.group import GroupNet, shrink_of, shrunk_features
+from learn.models.group import (
+    OUTPUTS,
+    RETURNED,
+    UNDETERMINED,
+    GroupLayers,
+    GroupNet,
+    assemble,
+    shrink_of,
+    shrunk_features,
+    undetermined,
+)
 from learn.solve import angle, unit, weighted_least_squares
 from learn.world import World
 from tests.conftest import Synthetic
@@ -60,6 +72,46 @@ def test_order_of_the_pictures_is_the_order_of_the_result(shaken: GroupNet) -> N
         two = network(images[:, order], directions[:, order], given.valid[:, order], given.mask)
         assert torch.allclose(one.matte[:, order], two.matte, rtol=1e-5, atol=1e-6)
         assert torch.allclose(one.confidence[:, order], two.confidence, atol=1e-6)
+
+
+RING = unit(torch.tensor([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [-1, 0, 1], [0, -1, 1]]))[None]
+
+
+@pytest.mark.parametrize(
+    ("trusted", "open_"),
+    [((1, 1, 1, 1, 1), 0), ((0.01, 0.01, 0.01, 0.01, 0.01), 0), ((1, 1, 1, 0, 0), 0), ((0, 1, 0, 1, 0), 1), ((1, 0, 0, 0, 0), 1)],
+)
+def test_trusted_lights_in_a_plane_leave_the_normal_open(trusted: tuple[float, ...], open_: float) -> None:
+    confidence = torch.tensor(trusted, dtype=torch.float32)[None, :, None, None].expand(1, 5, 2, 3)
+    assert torch.allclose(undetermined(confidence, RING), torch.full((1, 1, 2, 3), float(open_)), atol=1e-4)
+    assert (undetermined(confidence[:, :2], RING[:, :2]) == 0).all()
+
+
+def test_how_open_the_normal_is_follows_the_eigenvalues() -> None:
+    """The determinant over the cubed trace is the product of the eigenvalues over the cube of their sum."""
+    torch.manual_seed(3)
+    confidence = torch.rand(1, 5, 4, 4, dtype=torch.float64) ** 6
+
+    def spread(weights: torch.Tensor) -> torch.Tensor:
+        values = torch.linalg.eigvalsh(torch.einsum("bkhw,bki,bkj->bhwij", weights, RING.double(), RING.double()))
+        return values.prod(-1) / values.sum(-1) ** 3
+
+    expected = (1 - spread(confidence) / spread(torch.ones_like(confidence)) / UNDETERMINED).clamp(min=0)
+    assert 0 < float((expected > 0.01).float().mean()) < 1
+    assert torch.allclose(undetermined(confidence, RING.double())[:, 0], expected)
+
+
+def test_where_the_normal_is_open_all_samples_count_again() -> None:
+    """Of two trusted lights: a normal of all five where they agree, and the two still count most."""
+    outputs = torch.zeros(1, 5, OUTPUTS, 1, 1)
+    outputs[:, (0, 2, 4), 6] = -30
+    normal = unit(torch.tensor([[0.3, 0.4, 1.0]]))
+    images = (RING[0] @ normal[0])[None, :, None, None, None].expand(1, 5, 3, 1, 1)
+    found = assemble(images, outputs, torch.zeros(1, 5, 1, 1), RING)
+    assert float(torch.rad2deg(angle(found.normals, normal[:, :, None, None])).max()) < 0.1
+    assert torch.allclose(found.confidence[0, (0, 2, 4)], RETURNED * found.confidence[0, 1] ** 2, rtol=0.2)
+    unlit = assemble(images, outputs, torch.zeros(1, 5, 1, 1), None)
+    assert float(unlit.confidence[0, 0]) < 1e-6
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16])
@@ -132,6 +184,24 @@ def test_each_refinement_sees_the_one_before(batch: World) -> None:
     matte = [*(layers.matte for layers in found.earlier), found.matte]
     assert len(matte) == 4
     assert all(not torch.allclose(one, two) for one, two in pairwise(matte))
+
+
+@torch.no_grad()
+def test_the_colour_of_the_matte_layer_is_judged_by_its_angle(batch: World) -> None:
+    """Of the truth itself it is 0, and of grey ones it is that between each albedo and grey."""
+    given = batch.batch(8)
+    layers = GroupLayers(given.matte, given.diffuse, given.specular, given.valid.float(), given.normals)
+    loss, exact = judge(layers, given)
+    assert float(exact["degrees_colour"]) < 0.1
+    grey = given.matte.mean(2, keepdim=True).expand_as(given.matte)
+    worse, wrong = judge(dataclasses.replace(layers, matte=grey), given)
+    total = (given.matte * given.valid.unsqueeze(2)).sum(1)
+    cosine = total.sum(1) / (3**0.5 * total.norm(dim=1).clamp(min=1e-12))
+    seen = given.mask & given.valid.any(1) & (total.sum(1) > 0)
+    expected = torch.rad2deg(torch.arccos(cosine.clamp(max=1)))[seen].mean()
+    assert float(expected) > 2
+    assert float(wrong["degrees_colour"]) == pytest.approx(float(expected), rel=0.05)
+    assert float(worse) > float(loss)
 
 
 def test_learns_four_captures() -> None:
