@@ -194,7 +194,9 @@ def test_without_torch_its_remover_is_left_out_and_tried_again(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from gen import parts
+    from learn import removers
 
+    removers._shipped.cache_clear()  # another test may have loaded it
     there = parts.find_spec
     monkeypatch.setattr(parts, "find_spec", lambda name: None if name == "torch" else there(name))
     spec = Benchmark.model_validate({"benchmark": "b", "views": [{"path": "objects/pebble"}], "gloss": ["group"]})
