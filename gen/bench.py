@@ -32,8 +32,7 @@ from gen.sets.plan import Item, plan_of
 BLENDERPROC = "BLENDERPROC_PYTHON"
 """The environment variable that names a Python with BlenderProc and bpy, in place of --blenderproc."""
 
-
-TIMES = 3
+REPEATS = 3
 """How often the preset's items are rendered in one go: of a few, the files of the last one, which no render runs beside, would count."""
 
 
@@ -92,7 +91,7 @@ def measure(preset: str, rounds: int, python: str | None) -> dict[str, Any]:
         # Ks = 0 would be a second render of every picture.
         items[name] = [
             replace(item, id=f"{item.id}-{again}", spec={**item.spec, "ks0": False, "crop": crop})
-            for again in range(TIMES)
+            for again in range(REPEATS)
             for item in plan_of(preset).items
         ]
         frames[name] = [job for item in items[name] for job in item_jobs(item.capture_spec(), Path("unused"))]
@@ -138,7 +137,10 @@ def main() -> None:
     parser.add_argument("preset", nargs="?", default="paper-stack", help="a preset of a set (default: paper-stack)")
     parser.add_argument("--rounds", type=int, default=3, help="how often everything is run in turn (default: 3)")
     parser.add_argument(
-        "--blenderproc", default=os.environ.get(BLENDERPROC) or None, metavar="PYTHON", help="a Python with BlenderProc"
+        "--blenderproc",
+        default=os.environ.get(BLENDERPROC) or None,
+        metavar="PYTHON",
+        help="a Python that runs BlenderProc by bpy",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     arguments = parser.parse_args()

@@ -29,10 +29,10 @@ from gen.spec_parts import Orthographic
 
 SAMPLES_PER_JOB = 1 << 18
 SUM_TOLERANCE = 1e-6
-"""Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum. Cycles adds
-up the samples of a pixel, and of many of them each may add `ROUNDING`."""
+"""Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum."""
 
 ROUNDING = 2.0**-23
+"""What each sample of a pixel may add to that, where many are summed up: a float32's step."""
 
 Progress = Callable[[int, int], None]
 """Called with (pictures done, pictures in all)."""
