@@ -1,7 +1,8 @@
 """The test that counts: photographs of real things under few lights, `python -m learn.real [--weights W] [--json]` (part of `make bench`).
 
-Every DiLiGenT object of the reference data, many seeded draws of a few of its lights: the mean angular error of least squares on the raw
-photographs, on what a remover makes of them, and the ratio of the two. Draws whose lights do not determine normals well are drawn again.
+Every DiLiGenT object of the reference data, many seeded draws of a few of its lights, and all of them: the mean angular error of least
+squares on the raw photographs, on what a remover makes of them, and the ratio of the two. Draws whose lights do not determine normals well
+are drawn again.
 """
 
 from __future__ import annotations
@@ -44,12 +45,13 @@ def errors(capture: Capture, remover: Remover | None, repair: str = "none") -> f
 
 
 def photographs(
-    folder: Path, remover: Remover, count: int = DRAWS, size: int = LIGHTS, progress: Progress | None = None
+    folder: Path, remover: Remover, count: int = DRAWS, size: int = LIGHTS, whole: bool = True, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Of every DiLiGenT object in a folder: the errors of each draw raw and after the remover, their means and the means' ratio.
 
-    count: draws an object. size: lights a draw. "harmed" counts the draws that the remover made worse. Errors in degrees. Raises InputError
-    where the folder holds no object, a capture cannot be read or has no true normals, and as `draws`.
+    count: draws an object. size: lights a draw. "harmed" counts the draws that the remover made worse; "all" has the errors with all
+    lights, but for those that are corrupt in the original; None where whole is False. Errors in degrees. Raises InputError where the folder
+    holds no object, a capture cannot be read or has no true normals, and as `draws`.
     """
     figures: dict[str, Any] = {}
     places = sorted(p for p in folder.iterdir() if p.is_dir())
@@ -64,12 +66,18 @@ def photographs(
                 progress(f"{place.name}: draw {i + 1} of {count}")
             part = capture.select(chosen)
             rows.append((chosen, errors(part, None), errors(part, remover)))
+        every = None
+        if whole:
+            if progress is not None:
+                progress(f"{place.name}: all {capture.count} lights")
+            every = {"lights": capture.count, "raw": errors(capture, None), "removed": errors(capture, remover)}
         raw, removed = (float(np.mean([row[column] for row in rows])) for column in (1, 2))
         figures[place.name] = {
             "raw": raw,
             "removed": removed,
             "ratio": removed / raw,
             "harmed": sum(after > before for _, before, after in rows),
+            "all": every,
             "draws": [{"lights": lights, "raw": before, "removed": after} for lights, before, after in rows],
         }
     return figures
@@ -95,8 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise InputError("--draws must be at least 1 and --lights at least 3")
         chosen = remover(given.method, given.weights)
         with steps() as step:
-            step.expect(given.draws * sum(p.is_dir() for p in folder.iterdir()))
-            figures = photographs(folder, chosen, given.draws, given.lights, step)
+            step.expect((given.draws + 1) * sum(p.is_dir() for p in folder.iterdir()))
+            figures = photographs(folder, chosen, given.draws, given.lights, progress=step)
     except InputError as error:
         print(f"learn.real: {error}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -107,6 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("| object | raw | removed | ratio | draws that got worse |\n|---|---|---|---|---|")
     for name, row in figures.items():
         print(f"| {name} | {row['raw']:.2f} | {row['removed']:.2f} | {row['ratio']:.3f} | {row['harmed']} |")
+    print("\nall lights\n\n| object | lights | raw | removed |\n|---|---|---|---|")
+    for name, row in figures.items():
+        print(f"| {name} | {row['all']['lights']} | {row['all']['raw']:.2f} | {row['all']['removed']:.2f} |")
 
 
 if __name__ == "__main__":

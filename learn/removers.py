@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gen import large
-from gen.capture import LUMA, Bools, Capture, Floats
+from gen.capture import LUMA, Bools, Capture, Fault, Floats
 from gen.capture_lights import WITHOUT_DIRECTION
 from gen.errors import InputError
+from learn import integrability, neutral_gloss
 from recon.gloss import workable
 from recon.registry import Layers, Remover
 
@@ -33,6 +34,9 @@ pictures are trained on (the preset paper-train)."""
 
 LIT = 0.02
 """Share of a picture's brightest above which a pixel counts as the object where no mask is given."""
+
+MEASURED = 3
+"""Fewest pictures whose normals can be solved: from there on colour and curl check the group network's layers (`_look_again`)."""
 
 SMALLEST = 8
 """Pixels of the smallest side that a network takes."""
@@ -83,7 +87,9 @@ def group(capture: Capture) -> Layers:
     """One network over all pictures of the view: the matte twin, diffuse, specular and a confidence for every sample; method (d).
 
     Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone. The lights' directions are used
-    unless a picture was taken under light that has none. Confidence is 0 outside the mask and where a sample is missing.
+    unless a picture was taken under light that has none. From three pictures on colour says what colour matte and gloss have
+    (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, the pictures stay
+    (`learn.integrability`). Confidence is 0 outside the mask and where a sample is missing.
     Errors as for `lime`.
     Source: ours; the exchange over the pictures by their maximum is that of G. Chen, K. Han and K.-Y. Wong, "PS-FCN" (ECCV 2018).
     """
@@ -115,7 +121,10 @@ def remove_by(loaded: Loaded, capture: Capture) -> Layers:
         capture.valid,
         capture.lights if known else None,
     )
-    return _layers(loaded, shown, capture.source, there)
+    layers = _layers(loaded, shown, capture.source, there)
+    if loaded.method == "group" and known:
+        layers = _look_again(capture, layers)
+    return layers
 
 
 def separate(
@@ -133,7 +142,20 @@ def separate(
     unknown; single pictures do without. where: for the message. diffuse + specular is the input, to float rounding. Large pictures are
     done in tiles (`MAX_PIXELS`, `MAX_SAMPLES`). Raises InputError where a side is smaller than `SMALLEST`.
     """
-    return _layers(loaded, Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights), where)
+    layers = _layers(loaded, Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights), where)
+    if loaded.method == "group" and lights is not None:
+        faults = None if valid is None else np.where(valid, 0, int(Fault.CLIPPED)).astype(np.uint8)
+        every = np.ones(images.shape[1:3], bool) if mask is None else mask
+        layers = _look_again(Capture(images, lights, every, faults=faults, source=where), layers)  # type: ignore[arg-type]
+    return layers
+
+
+def _look_again(capture: Capture, layers: Layers) -> Layers:
+    """The group network's layers after what colour and curl say of them, where the lights are known and enough."""
+    if capture.count < MEASURED:
+        return layers
+    neutral_gloss.colour(capture, layers)
+    return integrability.check(capture, layers)
 
 
 @dataclass(frozen=True, eq=False)

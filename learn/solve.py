@@ -46,8 +46,10 @@ def weighted_least_squares(y: Tensor, lights: Tensor, weights: Tensor) -> Tensor
     Source: R. J. Woodham, Optical Engineering 19(1), 1980.
     """
     b, k, h, w = y.shape
+    l0, l1, l2 = lights.unbind(-1)
+    products = torch.stack([l0 * l0, l1 * l1, l2 * l2, l0 * l1, l0 * l2, l1 * l2], 1)
     flat = weights.reshape(b, k, h * w)
-    xx, yy, zz, xy, xz, yz = normal_matrix(flat, lights)
+    xx, yy, zz, xy, xz, yz = torch.bmm(products, flat).unbind(1)
     rx, ry, rz = torch.bmm(lights.transpose(1, 2), (flat * y.reshape(b, k, h * w))).unbind(1)
     damping = DAMPING / 3 * (xx + yy + zz) + 1e-8
     xx, yy, zz = xx + damping, yy + damping, zz + damping
@@ -58,13 +60,6 @@ def weighted_least_squares(y: Tensor, lights: Tensor, weights: Tensor) -> Tensor
         [cxx * rx + cxy * ry + cxz * rz, cxy * rx + cyy * ry + cyz * rz, cxz * rx + cyz * ry + czz * rz], 1
     ) / determinant.unsqueeze(1)
     return solved.reshape(b, 3, h, w)
-
-
-def normal_matrix(weights: Tensor, lights: Tensor) -> tuple[Tensor, ...]:
-    """The entries xx, yy, zz, xy, xz, yz of sum_k w_k l_k l_k^T, each (B, P). weights: (B, K, P) of P pixels. lights: (B, K, 3)."""
-    l0, l1, l2 = lights.unbind(-1)
-    products = torch.stack([l0 * l0, l1 * l1, l2 * l2, l0 * l1, l0 * l2, l1 * l2], 1)
-    return torch.bmm(products, weights).unbind(1)
 
 
 @in_full

@@ -47,7 +47,7 @@ def run(
     output
         The folder to write; an earlier result there is replaced.
     gloss
-        The gloss remover, or none. Default: group with 3 to 10 pictures where torch is installed, else chromaticity.
+        The gloss remover, or none. Default: group from 3 pictures on where torch is installed, else chromaticity.
         `degloss recon methods` lists them.
     inpaint
         How defects are repaired, or none. Default: none after group, whose confidence says what to distrust, else telea.

@@ -173,6 +173,22 @@ def deviation(shape: Shape, reference: Shape, span: tuple[float, float]) -> dict
     }
 
 
+NOTEWORTHY_DOUBT = 0.02
+"""Share of the object whose gloss removal is doubted from which it is said."""
+
+
+def disbelief(shape: Shape) -> list[str]:
+    """A sentence where the gloss remover was not believed on a good part of the object."""
+    doubt = shape.layers.doubt
+    share = 0.0 if doubt is None else float(doubt[shape.capture.mask].mean())
+    if share < NOTEWORTHY_DOUBT:
+        return []
+    return [
+        f"on {100 * share:.0f} % of the object the pictures were measured as they are: gloss removal by {shape.settings.gloss} "
+        "led to normals there that no surface has, as on metals that mirror"
+    ]
+
+
 def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[str, Any]:
     """The content of metrics.json: what was measured, how, in which unit and time; "truth" only where the capture has truth."""
     capture = shape.capture
@@ -193,7 +209,7 @@ def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[st
         "height": {"unit": shape.height.unit, "low": float(known.min()), "high": float(known.max())},
         "uncertainty degrees": {"median": float(np.median(uncertainty))} if uncertainty.size else None,
         "seconds": dict(shape.seconds),
-        "notes": doubts(capture),
+        "notes": [*doubts(capture), *disbelief(shape)],
         "provenance": dict(capture.provenance),
     }
     if shape.near is not None:

@@ -136,7 +136,7 @@ def reconstruct(
             normals = solver(capture.reflectance(repaired.images), capture.lights, capture.mask, weights)
         if not normals.measurable.any():
             raise InputError(f"{capture.source}: not one pixel could be measured; too few usable samples a pixel")
-        normals = calibrated(normals, capture, repaired.images, settings)
+        normals = calibrated(normals, capture, repaired.images, settings, layers.doubt)
     if near is None:
         with _timed(times, "height", "integrating", progress):
             height = integrator(normals.normal, normals.measurable, capture.scale)
@@ -172,16 +172,24 @@ def solved_in_strips(solver: Solver, capture: Capture, images: NDArray[np.float3
     return normals
 
 
-def calibrated(normals: Normals, capture: Capture, images: NDArray[np.float32], settings: Settings) -> Normals:
+def calibrated(
+    normals: Normals,
+    capture: Capture,
+    images: NDArray[np.float32],
+    settings: Settings,
+    doubt: NDArray[np.float32] | None = None,
+) -> Normals:
     """Normals whose uncertainty is what such pixels erred by on renders, where that was measured (see `recon.calibration`).
 
-    images: (K, H, W, 3), the pictures that were solved.
+    images: (K, H, W, 3), the pictures that were solved. doubt: (H, W), see `Layers`: so far a pixel is as uncertain as without removal.
     """
-    table = table_for(settings.gloss, settings.normals)
+    table, plain = (table_for(gloss, settings.normals) for gloss in (settings.gloss, "none"))
     if table is None:
         return normals
-    stated = table(normals.uncertainty, change(capture, images)).astype(np.float32)
-    return replace(normals, uncertainty=stated)
+    stated = table(normals.uncertainty, change(capture, images))
+    if doubt is not None and plain is not None:
+        stated += doubt * (plain(normals.uncertainty, np.zeros_like(doubt)) - stated)
+    return replace(normals, uncertainty=stated.astype(np.float32))
 
 
 def sample_weights(capture: Capture, layers: Layers, repaired: Repaired, settings: Settings) -> NDArray[np.float32]:

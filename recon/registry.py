@@ -30,12 +30,14 @@ class Layers:
 
     diffuse, specular: the two parts of the glossy surface; their sum is the input wherever it was valid.
     matte: the gloss-free twin (Lambertian), where the method predicts it. confidence: (K, H, W) in [0, 1], where it gives one.
+    doubt: (H, W) in [0, 1], how far the method was not believed at a pixel, and matte is the picture as it was, where it says so.
     """
 
     diffuse: Floats
     specular: Floats
     matte: Floats | None = None
     confidence: Floats | None = None
+    doubt: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,18 +199,18 @@ HEIGHT: Registry[Integrator] = Registry(
 )
 
 
-MOST_FOR_GROUP = 10
-"""Pictures up to which "group" is the default: few of its training captures had more, and robust solvers gain with their number."""
+FEWEST_FOR_GROUP = 3
+"""Pictures from which on "group" is the default: fewer give no normals, by which its layers are checked."""
 
 
 def default_methods(pictures: int, gloss: str | None = None, repair: str | None = None) -> tuple[str, str]:
     """The remover and the repair of a measurement, each by default where it is None.
 
-    pictures: how many the capture has. The remover is "group" with three to `MOST_FOR_GROUP` and torch installed, else "chromaticity". The
+    pictures: how many the capture has. The remover is "group" from `FEWEST_FOR_GROUP` on where torch is installed, else "chromaticity". The
     repair is "none" after "group", whose confidence already says what to distrust, else "telea". Names that are given are not checked.
     """
     from gen.parts import PARTS
 
     if gloss is None:
-        gloss = "group" if 3 <= pictures <= MOST_FOR_GROUP and PARTS["torch"].look().state == "ok" else "chromaticity"
+        gloss = "group" if pictures >= FEWEST_FOR_GROUP and PARTS["torch"].look().state == "ok" else "chromaticity"
     return gloss, repair or ("none" if gloss == "group" else "telea")

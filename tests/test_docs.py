@@ -373,10 +373,10 @@ def test_numbers_that_the_pages_state_are_those_of_the_code() -> None:
     from recon.multiview.stereo import LEAST_DEGREES, MOST_DEGREES
     from recon.photo_check import DIM
     from recon.reconstruct import Settings
-    from recon.registry import MOST_FOR_GROUP
+    from recon.registry import FEWEST_FOR_GROUP
 
     for page, sentence in {
-        "docs/methods.md": f"with 3 to {MOST_FOR_GROUP} pictures where torch is installed",
+        "docs/methods.md": f"from {FEWEST_FOR_GROUP} pictures on where torch is installed",
         "docs/methods-normals.md": f"condition number of at most {MAX_CONDITION:g}",
         "docs/inspection.md": f"`--guard` is g, {GUARD:g} by default",
         "docs/multiview.md": f"{LEAST_DEGREES:g} to {MOST_DEGREES:g} degrees apart",

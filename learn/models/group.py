@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from gen.errors import InputError
 from learn.models.evidence import CHANNELS, Evidence, evidence, luminance, toward
-from learn.solve import in_full, normal_matrix, shading, unit, weighted_least_squares
+from learn.solve import in_full, shading, unit, weighted_least_squares
 
 OUTPUTS = 7
 """Per sample: log gain of matte over input (3 channels), logit of the diffuse share (3), logit of the confidence."""
@@ -20,12 +20,6 @@ CERTAIN = 2.0
 
 DOUBTED = -4.0
 """What is added to that logit where a sample is not valid: clipped or dark."""
-
-UNDETERMINED = 0.2
-"""How well spread the trusted lights of a pixel must be for its normal, beside all lights (see `undetermined`)."""
-
-RETURNED = 0.1
-"""Share of the pixel's largest confidence that all samples are given back where what is trusted says nothing of the normal."""
 
 MATTE = 5.0
 """Logit of the diffuse share before training: nearly all of the input is diffuse."""
@@ -270,34 +264,8 @@ def assemble(images: Tensor, outputs: Tensor, doubt: Tensor, lights: Tensor | No
     if lights is None:
         normals = images.new_zeros(images.shape[0], 3, *images.shape[-2:])
     else:
-        given_back = RETURNED * undetermined(confidence, lights) * confidence.amax(1, keepdim=True)
-        confidence = (confidence + given_back * torch.sigmoid(CERTAIN + doubt)).clamp(max=1)
         normals = unit(weighted_least_squares(luminance(matte), lights, confidence))
     return GroupLayers(matte, diffuse, images - diffuse, confidence, normals)
-
-
-@in_full
-def undetermined(confidence: Tensor, lights: Tensor) -> Tensor:
-    """How far the lights that a pixel's confidence trusts leave its normal open, 0 to 1: (B, 1, H, W); 0 for fewer than three lights.
-
-    confidence: (B, K, H, W). lights: (B, K, 3). Ours: by the determinant of the weighted normal matrix over the cube of its trace, beside
-    that of all lights alike: 1 where the trusted lights lie in a plane, 0 where they are at least `UNDETERMINED` times as well spread as
-    all are.
-    """
-    if lights.shape[1] < 3:
-        return torch.zeros_like(confidence[:, :1])
-    spread = _spread(confidence, lights)
-    whole = _spread(torch.ones_like(confidence[..., :1, :1]), lights)
-    return (1 - spread / (UNDETERMINED * whole).clamp(min=1e-9)).clamp(min=0).unsqueeze(1)
-
-
-def _spread(weights: Tensor, lights: Tensor) -> Tensor:
-    """Determinant over cubed trace of sum_k w_k l_k l_k^T, (B, H, W); at most 1/27."""
-    b, k, h, w = weights.shape
-    entries = normal_matrix(weights.reshape(b, k, h * w), lights)
-    trace = (entries[0] + entries[1] + entries[2]).clamp(min=1e-12)
-    xx, yy, zz, xy, xz, yz = (entry / trace for entry in entries)
-    return (xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)).reshape(b, h, w)
 
 
 def _zero(layer: nn.Conv2d) -> nn.Conv2d:

@@ -36,7 +36,7 @@ def multiview(
         The folder to write; an earlier result there is replaced.
     gloss
         The gloss remover, or none; may be given several times: the first makes the mesh, the others are compared. Default: group with
-        3 to 10 pictures a view where torch is installed, else chromaticity.
+        3 pictures a view or more where torch is installed, else chromaticity.
     inpaint
         How defects are repaired, or none. Default: none after group, else telea.
     normals

@@ -15,17 +15,7 @@ from learn.method import create_method
 from learn.methods.group import judge
 from learn.models import create_model
 from learn.models.evidence import evidence, luminance
-from learn.models.group import (
-    OUTPUTS,
-    RETURNED,
-    UNDETERMINED,
-    GroupLayers,
-    GroupNet,
-    assemble,
-    shrink_of,
-    shrunk_features,
-    undetermined,
-)
+from learn.models.group import GroupLayers, GroupNet, shrink_of, shrunk_features
 from learn.solve import angle, unit, weighted_least_squares
 from learn.world import World
 from tests.conftest import Synthetic
@@ -72,46 +62,6 @@ def test_order_of_the_pictures_is_the_order_of_the_result(shaken: GroupNet) -> N
         two = network(images[:, order], directions[:, order], given.valid[:, order], given.mask)
         assert torch.allclose(one.matte[:, order], two.matte, rtol=1e-5, atol=1e-6)
         assert torch.allclose(one.confidence[:, order], two.confidence, atol=1e-6)
-
-
-RING = unit(torch.tensor([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [-1, 0, 1], [0, -1, 1]]))[None]
-
-
-@pytest.mark.parametrize(
-    ("trusted", "open_"),
-    [((1, 1, 1, 1, 1), 0), ((0.01, 0.01, 0.01, 0.01, 0.01), 0), ((1, 1, 1, 0, 0), 0), ((0, 1, 0, 1, 0), 1), ((1, 0, 0, 0, 0), 1)],
-)
-def test_trusted_lights_in_a_plane_leave_the_normal_open(trusted: tuple[float, ...], open_: float) -> None:
-    confidence = torch.tensor(trusted, dtype=torch.float32)[None, :, None, None].expand(1, 5, 2, 3)
-    assert torch.allclose(undetermined(confidence, RING), torch.full((1, 1, 2, 3), float(open_)), atol=1e-4)
-    assert (undetermined(confidence[:, :2], RING[:, :2]) == 0).all()
-
-
-def test_how_open_the_normal_is_follows_the_eigenvalues() -> None:
-    """The determinant over the cubed trace is the product of the eigenvalues over the cube of their sum."""
-    torch.manual_seed(3)
-    confidence = torch.rand(1, 5, 4, 4, dtype=torch.float64) ** 6
-
-    def spread(weights: torch.Tensor) -> torch.Tensor:
-        values = torch.linalg.eigvalsh(torch.einsum("bkhw,bki,bkj->bhwij", weights, RING.double(), RING.double()))
-        return values.prod(-1) / values.sum(-1) ** 3
-
-    expected = (1 - spread(confidence) / spread(torch.ones_like(confidence)) / UNDETERMINED).clamp(min=0)
-    assert 0 < float((expected > 0.01).float().mean()) < 1
-    assert torch.allclose(undetermined(confidence, RING.double())[:, 0], expected)
-
-
-def test_where_the_normal_is_open_all_samples_count_again() -> None:
-    """Of two trusted lights: a normal of all five where they agree, and the two still count most."""
-    outputs = torch.zeros(1, 5, OUTPUTS, 1, 1)
-    outputs[:, (0, 2, 4), 6] = -30
-    normal = unit(torch.tensor([[0.3, 0.4, 1.0]]))
-    images = (RING[0] @ normal[0])[None, :, None, None, None].expand(1, 5, 3, 1, 1)
-    found = assemble(images, outputs, torch.zeros(1, 5, 1, 1), RING)
-    assert float(torch.rad2deg(angle(found.normals, normal[:, :, None, None])).max()) < 0.1
-    assert torch.allclose(found.confidence[0, (0, 2, 4)], RETURNED * found.confidence[0, 1] ** 2, rtol=0.2)
-    unlit = assemble(images, outputs, torch.zeros(1, 5, 1, 1), None)
-    assert float(unlit.confidence[0, 0]) < 1e-6
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16])
@@ -273,7 +223,7 @@ def test_real_photographs_get_better(data_folder: object) -> None:
     from learn.real import photographs
     from learn.removers import remover
 
-    figures = photographs(Path(str(data_folder)) / "diligent", remover("group"), count=2)
+    figures = photographs(Path(str(data_folder)) / "diligent", remover("group"), count=2, whole=False)
     assert figures
     for row in figures.values():
         assert row["ratio"] < 1

@@ -147,6 +147,13 @@ def test_lights_of_several_directions_are_not_told(networks: dict[str, Loaded], 
     assert not np.array_equal(remove_by(networks["group"], capture).matte, unknown.matte)
 
 
+def test_bare_pictures_with_lights_are_separated_as_a_capture_is(networks: dict[str, Loaded], synthetic: Synthetic) -> None:
+    capture = synthetic(size=40, specular=0.4, alpha=0.1)
+    bare = separate(networks["group"], capture.images, capture.mask, None, capture.lights)
+    for name, layer in vars(remove_by(networks["group"], capture)).items():
+        np.testing.assert_array_equal(getattr(bare, name), layer, err_msg=name)
+
+
 def test_too_small_a_picture_is_refused(networks: dict[str, Loaded], synthetic: Synthetic) -> None:
     for method in METHODS:
         remove_by(networks[method], synthetic(size=8))

@@ -14,8 +14,9 @@ from gen.capture import Capture, Truth
 from gen.formats.render_folder import write_render
 from recon import calibrate
 from recon.calibration import LEAST, Table, change, fit, table_for
+from recon.compare import shape_metrics
 from recon.pipeline import measure
-from recon.reconstruct import Settings
+from recon.reconstruct import Settings, reconstruct
 from recon.registry import GLOSS, NORMALS
 
 Synthetic = Callable[..., Capture]
@@ -77,6 +78,32 @@ def test_a_measurement_states_what_the_table_says(synthetic: Synthetic) -> None:
     assert table is not None
     assert np.allclose(shape.normals.uncertainty, table(own, np.zeros_like(own)), rtol=1e-5, equal_nan=True)
     assert np.nanmedian(shape.normals.uncertainty) > np.nanmedian(own)
+
+
+def test_where_removal_was_doubted_a_pixel_is_as_uncertain_as_without_it(synthetic: Synthetic) -> None:
+    capture = synthetic("sphere", 32, specular=0.5, alpha=0.1)
+    layers = GLOSS.load("chromaticity")(capture)
+    doubt = np.zeros(capture.mask.shape, np.float32)
+    doubt[:, 12:] = 0.5
+    doubt[:, 20:] = 1
+    layers = replace(layers, matte=np.where(doubt[None, ..., None] == 1, capture.images, layers.diffuse), doubt=doubt)
+    shape = reconstruct(capture, layers, Settings(gloss="chromaticity", repair="none"))
+    own = NORMALS.load("least-squares")(
+        capture.reflectance(layers.matte), capture.lights, capture.mask, shape.weights
+    ).uncertainty
+    changed = change(capture, shape.images)
+    with_it, without = (table_for(name, "least-squares") for name in ("chromaticity", "none"))
+    assert with_it is not None
+    assert without is not None
+    a, b = with_it(own, changed), without(own, np.zeros_like(own))
+    assert np.nanmax(np.abs(a - b)) > 1
+    np.testing.assert_allclose(shape.normals.uncertainty, a + doubt * (b - a), rtol=1e-4)
+    (note,) = (note for note in shape_metrics(shape)["notes"] if "no surface has" in note)
+    assert note.startswith(f"on {100 * doubt[capture.mask].mean():.0f} % of the object")
+    assert "chromaticity" in note
+    calm = reconstruct(capture, replace(layers, doubt=0 * doubt), Settings(gloss="chromaticity", repair="none"))
+    np.testing.assert_allclose(calm.normals.uncertainty, a, rtol=1e-4)
+    assert not any("no surface has" in note for note in shape_metrics(calm)["notes"])
 
 
 def test_the_command_writes_tables(
