@@ -39,7 +39,7 @@ def check(capture: Capture, layers: Layers) -> Layers:
     if layers.matte is None or layers.confidence is None:
         raise ValueError("these layers have no matte layer with a confidence")
     doubted, there = doubt(capture, layers), workable(capture)
-    for rows in large.strips(capture.images.shape):
+    for rows in large.strips((3 * capture.count, *capture.size)):  # of three channels each
         share = doubted[rows]
         if share.any():
             trust, matte = layers.confidence[:, rows], layers.matte[:, rows]

@@ -24,7 +24,7 @@ def colour(capture: Capture, layers: Layers) -> None:
     by_colour = chromaticity(capture)
     luma = LUMA.astype(np.float32)
     intensity = capture.intensities.astype(np.float32)[:, None, None, :]
-    for rows in large.strips(capture.images.shape):
+    for rows in large.strips((3 * capture.count, *capture.size)):  # of three channels each
         images, specular, matte = (maps[:, rows] / intensity for maps in (capture.images, layers.specular, layers.matte))
         colour_gloss = by_colour.specular[:, rows] / intensity
         both = [(gloss @ luma).sum(axis=0) for gloss in (colour_gloss, specular)]

@@ -184,8 +184,8 @@ def disbelief(shape: Shape) -> list[str]:
     if share < NOTEWORTHY_DOUBT:
         return []
     return [
-        f"on {100 * share:.0f} % of the object the pictures were measured as they are: gloss removal by {shape.settings.gloss} "
-        "led to normals there that no surface has, as on metals that mirror"
+        f"On {100 * share:.0f} % of the object the pictures were measured as they are: gloss removal by {shape.settings.gloss} "
+        "led to normals there that no surface has, as on metals that mirror."
     ]
 
 

@@ -99,7 +99,7 @@ def test_where_removal_was_doubted_a_pixel_is_as_uncertain_as_without_it(synthet
     assert np.nanmax(np.abs(a - b)) > 1
     np.testing.assert_allclose(shape.normals.uncertainty, a + doubt * (b - a), rtol=1e-4)
     (note,) = (note for note in shape_metrics(shape)["notes"] if "no surface has" in note)
-    assert note.startswith(f"on {100 * doubt[capture.mask].mean():.0f} % of the object")
+    assert note.startswith(f"On {100 * doubt[capture.mask].mean():.0f} % of the object")
     assert "chromaticity" in note
     calm = reconstruct(capture, replace(layers, doubt=0 * doubt), Settings(gloss="chromaticity", repair="none"))
     np.testing.assert_allclose(calm.normals.uncertainty, a, rtol=1e-4)
