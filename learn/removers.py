@@ -18,7 +18,6 @@ from gen import large
 from gen.capture import LUMA, Bools, Capture, Fault, Floats
 from gen.capture_lights import WITHOUT_DIRECTION
 from gen.errors import InputError
-from learn import integrability, neutral_gloss
 from recon.gloss import workable
 from recon.registry import Layers, Remover
 
@@ -152,6 +151,8 @@ def separate(
 
 def _look_again(capture: Capture, layers: Layers) -> Layers:
     """The group network's layers after what colour and curl say of them, where the lights are known and enough."""
+    from learn import integrability, neutral_gloss
+
     if capture.count < MEASURED:
         return layers
     neutral_gloss.colour(capture, layers)
