@@ -19,7 +19,7 @@ from gen.capture import LUMA, Bools, Capture, Fault, Floats
 from gen.capture_lights import WITHOUT_DIRECTION
 from gen.errors import InputError
 from recon.gloss import workable
-from recon.registry import Layers, Remover
+from recon.registry import FEWEST_FOR_GROUP, Layers, Remover
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,9 +33,6 @@ pictures are trained on (the preset paper-train)."""
 
 LIT = 0.02
 """Share of a picture's brightest above which a pixel counts as the object where no mask is given."""
-
-MEASURED = 3
-"""Fewest pictures whose normals can be solved: from there on colour and curl check the group network's layers (`_look_again`)."""
 
 SMALLEST = 8
 """Pixels of the smallest side that a network takes."""
@@ -153,7 +150,7 @@ def _look_again(capture: Capture, layers: Layers) -> Layers:
     """The group network's layers after what colour and curl say of them, where the lights are known and enough."""
     from learn import integrability, neutral_gloss
 
-    if capture.count < MEASURED:
+    if capture.count < FEWEST_FOR_GROUP:
         return layers
     neutral_gloss.colour(capture, layers)
     return integrability.check(capture, layers)

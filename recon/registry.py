@@ -200,7 +200,7 @@ HEIGHT: Registry[Integrator] = Registry(
 
 
 FEWEST_FOR_GROUP = 3
-"""Pictures from which on "group" is the default: fewer give no normals, by which its layers are checked."""
+"""Pictures from which on "group" is the default, and its layers are checked: fewer give no normals to check them by."""
 
 
 def default_methods(pictures: int, gloss: str | None = None, repair: str | None = None) -> tuple[str, str]:

@@ -9,9 +9,9 @@ from gen.capture import Bools, Capture, Fault, Floats
 from recon.registry import Layers
 
 
-def workable(capture: Capture) -> Bools:
-    """(K, H, W) bool: the samples a remover works on, inside the mask and not missing."""
-    return capture.mask[None] & ((capture.faults & Fault.MISSING) == 0)
+def workable(capture: Capture, rows: slice = slice(None)) -> Bools:
+    """(K, H, W) bool: the samples a remover works on, inside the mask and not missing; of some rows, where they are given."""
+    return capture.mask[None, rows] & ((capture.faults[:, rows] & Fault.MISSING) == 0)
 
 
 def remove(capture: Capture, gloss: Floats, confidence: Floats | None = None) -> Layers:
