@@ -9,15 +9,17 @@ A job is a JSON object:
      "pose": {"rotation": [[...], [...], [...]], "translation": [x, y, z]},
      "material": {"kind": "substrate", "diffuse": [r, g, b], "specular": [r, g, b], "alpha": a},
      "lights": [{"kind": "sun", "direction": [x, y, z], "intensity": [r, g, b]}],
-     "samples": 1, "bounces": 0, "seed": 0, "layers": ["combined", "diffuse", "specular", "matte"], "crop": false}
+     "samples": 1, "bounces": 0, "seed": 0, "layers": ["combined", "diffuse", "specular", "matte"], "crop": false,
+     "together": false}
 
 The camera sits at (0, 0, distance) and looks along -z, x right, y up: the world is the camera frame with its origin at the object's
 middle. K is OpenCV's (y down, pixel centres at integers). There is one entry of "lights" a picture: a light (see `blender_scenes.light`),
 or a list of those that shine at once. Materials are those of `blender_scenes.materials`. "samples" of every sub-sample are drawn where
 light comes from many directions (area, environment, ambient, bounces), by "seed"; suns and point lights need one. "bounces" is how often
 light may pass from surface to surface. "layers": see `blender_scenes.shot`. "crop": only the box of pixels that holds the object is
-rendered and handed back. "shape": by name, or the arrays of a file (see `blender_scenes.mesh_file`), either with or without "detail" (see
-`blender_scenes.shapes.detail`). "out" is needed by the worker only; "supersampling", "pose" and the last line's entries may be left out.
+rendered and handed back. "together": lights of a convex object may share a render (`blender_scenes.shot`). "shape": by name, or the arrays
+of a file (see `blender_scenes.mesh_file`), either with or without "detail" (see `blender_scenes.shapes.detail`). "out" is needed by the
+worker only; "supersampling", "pose" and the last two lines' entries may be left out.
 """
 
 from __future__ import annotations
@@ -69,7 +71,7 @@ class Perspective:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A job that has been checked. rotation: (3, 3) object to world, translation: (3,) mm."""
+    """A job that has been checked. rotation: (3, 3) object to world, translation: (3,) mm. solid: whether the mesh is convex by name."""
 
     width: int
     height: int
@@ -85,7 +87,14 @@ class Job:
     seed: int = 0
     layers: tuple[str, ...] = LAYERS[:4]
     crop: bool = False
+    together: bool = False
+    solid: bool = False
     out: str | None = None
+
+    @cached_property
+    def convex(self) -> bool:
+        """Whether the object is convex, so that it casts no shadow on itself."""
+        return self.solid or self.mesh.is_convex()
 
     @property
     def stand(self) -> Stand:
@@ -113,11 +122,13 @@ def parse(job: object) -> Job:
     rotation = pose.numbers("rotation", (3, 3), default=np.eye(3))
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
         raise JobError("job: pose.rotation is not a rotation (orthonormal rows, determinant 1)")
+    mesh, solid = _shape(entries.entry("shape"))
     checked = Job(
         width=int(resolution[0]),
         height=int(resolution[1]),
         camera=_camera(entries.entry("camera")),
-        mesh=_shape(entries.entry("shape")),
+        mesh=mesh,
+        solid=solid,
         material=parse_material(entries.entry("material")),
         lights=_lights(entries.value("lights")),
         rotation=rotation,
@@ -128,6 +139,7 @@ def parse(job: object) -> Job:
         seed=int(entries.number("seed", low=0, high=2**31 - 1, whole=True, default=0)),
         layers=_layers(entries.value("layers", default=LAYERS[:4])),
         crop=entries.flag("crop", default=False),
+        together=entries.flag("together", default=False),
         out=entries.text("out", default=None),
     )
     pose.close()
@@ -157,13 +169,14 @@ def _camera(entries: Entries) -> Orthographic | Perspective:
     return camera
 
 
-def _shape(entries: Entries) -> shapes.Mesh:
+def _shape(entries: Entries) -> tuple[shapes.Mesh, bool]:
+    """The mesh, and whether its shape is convex by its name."""
     detail = entries.value("detail", default=[])
     file = entries.text("file", default=None)
     if file is not None:
         entries.close()
         mesh = read_mesh(file)
-        return _detailed(mesh, detail) if detail != [] else mesh
+        return (_detailed(mesh, detail) if detail != [] else mesh), False
     name = entries.text("name")
     values = entries.value("parameters", default={})
     entries.close()
@@ -173,7 +186,7 @@ def _shape(entries: Entries) -> shapes.Mesh:
         mesh = shapes.build(str(name), **{str(key): value for key, value in values.items()})
     except ValueError as error:
         raise JobError(f"job: {error}") from None
-    return _detailed(mesh, detail) if detail != [] else mesh
+    return (_detailed(mesh, detail) if detail != [] else mesh), name in shapes.CONVEX and detail == []
 
 
 _latest: list[tuple[str, shapes.Mesh]] = []

@@ -12,6 +12,9 @@ from blender_scenes.materials import Material, Placed
 
 Floats = NDArray[np.float32]
 
+AGREES = 1e-4
+"""By how much of the peak a light's parts, written as they stand, may depart from those that Cycles rendered."""
+
 CACHED = 1 << 14
 """Sub-samples of a strip: a few layers of it take less than a megabyte."""
 
@@ -40,6 +43,50 @@ def radiance(
     return {name: part for name, part in parts.items() if name in wanted}, off, peak
 
 
+def written(
+    strip: Mapping[str, Floats], material: Material, i: int, intensity: Any, wanted: Collection[str], n: int
+) -> dict[str, NDArray[np.float64]]:
+    """The wanted ones of combined, diffuse, specular, matte (H, W, 3) and lit (H, W), means over blocks of n x n sub-samples, of the light
+    that was the i-th of `OneLight.put`'s further ones. intensity: (3,)."""
+    found = {
+        name: block_mean(strip[f"{name}_{i}"], n)[..., :3] * _scale(strip, name, material, intensity) for name in _lobes(strip)
+    }
+    if "combined" in wanted:
+        found["combined"] = sum(found.values(), np.zeros_like(found["specular"]))
+    if "diffuse" in wanted and "diffuse" not in found:
+        found["diffuse"] = np.zeros_like(found["specular"])
+    received = strip[f"received_{i}"]
+    if "matte" in wanted and "albedo" in strip:
+        found["matte"] = block_mean(received * _colour(strip["albedo"]), n) * intensity
+    elif "matte" in wanted:
+        found["matte"] = block_mean(received, n) * (material.albedo * intensity)
+    if "lit" in wanted:
+        found["lit"] = block_mean(received[..., 0] > 0, n)
+    return {name: values for name, values in found.items() if name in wanted}
+
+
+def differing(own: Mapping[str, Floats], strip: Mapping[str, Floats], material: Material, intensity: Any) -> int:
+    """How many sub-samples of the first light show else than Cycles' own lobes, by more than `AGREES` of the strip's peak."""
+    peak = max(float(values.max()) for values in own.values())
+    differ = np.zeros(own["specular"].shape[:2], np.bool_)
+    for name in _lobes(strip):
+        scale = np.tile(_scale(strip, name, material, intensity).astype(np.float32), (differ.shape[1], 1))
+        off = _colour(strip[f"{name}_0"]) * scale
+        off -= own[name]
+        differ |= (np.abs(off, out=off) > AGREES * peak).any(axis=-1)
+    return int(differ.sum())
+
+
+def _lobes(strip: Mapping[str, Floats]) -> list[str]:
+    return [name for name in ("diffuse", "specular") if f"{name}_0" in strip]
+
+
+def _scale(strip: Mapping[str, Floats], name: str, material: Material, intensity: Any) -> NDArray[np.float64]:
+    """(3,) what a lobe that `OneLight.put` wrote must be multiplied by."""
+    whole = name == "diffuse" and "albedo" not in strip
+    return np.asarray(intensity * material.albedo if whole else intensity, np.float64)
+
+
 def strips(height: int, width: int, n: int) -> Iterator[tuple[slice, slice]]:
     """Rows of sub-samples, whole pixels high, that a processor's cache holds, and the rows of pixels which they make."""
     high = max(CACHED // (width * n), 1)
@@ -49,8 +96,8 @@ def strips(height: int, width: int, n: int) -> Iterator[tuple[slice, slice]]:
 
 
 def _colour(array: Floats) -> Floats:
-    """The first three channels of (H, W, 3 or 4), as an array of its own where there are four: copied a pixel at a time, not a number."""
-    if array.shape[-1] == 3:
+    """The first three channels of (H, W, 1 to 4), as an array of its own where there are four: copied a pixel at a time, not a number."""
+    if array.shape[-1] < 4:
         return array
     pixel = np.dtype({"names": ["colour"], "formats": ["V12"], "offsets": [0], "itemsize": 16})
     colour = np.empty((*array.shape[:-1], 3), np.float32)
@@ -89,7 +136,7 @@ def view(passes: Mapping[str, Floats], material: Material, n: int) -> dict[str, 
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     depth = block_mean(np.where(hit, passes["Depth"][..., 0], 0), n) / safe
     if "albedo" in passes:
-        albedo = block_mean(np.where(hit[..., None], passes["albedo"], 0), n) / safe[..., None]
+        albedo = block_mean(np.where(hit[..., None], _colour(passes["albedo"]), 0), n) / safe[..., None]
     else:
         albedo = covered[..., None] * material.albedo
     gloss = block_mean(np.where(hit, passes["gloss"][..., 0], 0), n) / safe if "gloss" in passes else covered * material.gloss

@@ -22,7 +22,7 @@ import numpy as np
 
 from blender_scenes.entries import Entries, Numbers
 from blender_scenes.errors import JobError
-from blender_scenes.materials.base import Placed
+from blender_scenes.materials.base import Aim, Placed
 from blender_scenes.studio import blender, take_out
 
 
@@ -100,12 +100,17 @@ def parse_light(entries: Entries) -> Light:
     return light
 
 
+def aim_at(light: Sun | Point) -> Aim:
+    """Where a light is, for a graph that holds for one light."""
+    if isinstance(light, Sun):
+        return light.direction, None
+    return light.position / np.linalg.norm(light.position), light.position
+
+
 def tell(placed: Placed, light: Light) -> None:
     """Tell a graph that holds for one light, a sun or a point light, where that is."""
-    if placed.aim is not None and isinstance(light, Sun):
-        placed.aim(light.direction, None)
-    elif placed.aim is not None and isinstance(light, Point):
-        placed.aim(light.position, light.position)
+    if placed.aim is not None and isinstance(light, Sun | Point):
+        placed.aim(aim_at(light))
 
 
 class Rig:

@@ -34,9 +34,6 @@ CHANNELS = {
 INDIRECT = {"DiffInd": "RGB", "GlossInd": "RGB"}
 """Those that are fetched beside them where light passes from surface to surface."""
 
-OUTPUTS = {"albedo": "RGB", "gloss": "X"}
-"""Those that a material's graph writes itself where its values vary over the surface."""
-
 LONG = {
     "Diffuse Direct": "DiffDir",
     "Diffuse Indirect": "DiffInd",
@@ -51,10 +48,10 @@ LONG = {
 ROUTES = ("auto", "memory", "exr")
 
 
-def switch_on(scene: Any, outputs: tuple[str, ...] = (), indirect: bool = False) -> dict[str, str]:
+def switch_on(scene: Any, outputs: Mapping[str, str], indirect: bool = False) -> dict[str, str]:
     """Switch on the passes of the next render and return them with their channels.
 
-    outputs: names of `OUTPUTS` that the material writes. indirect: whether light passes from surface to surface.
+    outputs: those that the material writes itself, name and channels. indirect: whether light passes from surface to surface.
     """
     layer = scene.view_layers[0]
     for name in ("z", "normal", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color"):
@@ -62,11 +59,11 @@ def switch_on(scene: Any, outputs: tuple[str, ...] = (), indirect: bool = False)
     layer.use_pass_diffuse_indirect = layer.use_pass_glossy_indirect = indirect
     for there in [aov for aov in layer.aovs if aov.name not in outputs]:
         layer.aovs.remove(there)
-    for name in outputs:
-        if name not in layer.aovs:
-            aov = layer.aovs.add()
-            aov.name, aov.type = name, "COLOR" if len(OUTPUTS[name]) > 1 else "VALUE"
-    return CHANNELS | (INDIRECT if indirect else {}) | {name: OUTPUTS[name] for name in outputs}
+    for name, letters in outputs.items():
+        aov = layer.aovs[name] if name in layer.aovs else layer.aovs.add()
+        # The same name may stand for a number in one material and a colour in the next.
+        aov.name, aov.type = name, "COLOR" if len(letters) > 1 else "VALUE"
+    return CHANNELS | (INDIRECT if indirect else {}) | dict(outputs)
 
 
 def render(scene: Any, route: str = "auto", channels: Mapping[str, str] = CHANNELS) -> tuple[dict[str, Floats], str]:

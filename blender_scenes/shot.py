@@ -1,4 +1,11 @@
-"""One shot: a job in, its layers out."""
+"""One shot: a job in, its layers out.
+
+There are two ways to the pictures. In the plain one each light is rendered on its own, and shadows are Cycles'. A convex object has
+attached shadows alone, so that a material which knows its lights (`blender_scenes.materials.one_light`) can write what each of them shows:
+one render then serves several, where a job allows it. What the two ways show differs by rounding alone, and but for the few sub-samples
+on a silhouette whose ray to the light Cycles lets start within the object. The first light of each render is rendered both ways, and
+compared.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +18,25 @@ from blender_scenes import layers
 from blender_scenes.camera import crop_to, object_box, put_camera
 from blender_scenes.errors import JobError
 from blender_scenes.job import Job, parse
-from blender_scenes.light import Light, Point, Rig, Sun, tell
+from blender_scenes.light import Light, Point, Rig, Sun, aim_at, tell
 from blender_scenes.materials import Material, Placed
 from blender_scenes.materials.lambertian import Lambertian
 from blender_scenes.materials.mirror import Mirror
+from blender_scenes.materials.one_light import OneLight
 from blender_scenes.passes import render, switch_on
 from blender_scenes.studio import put_mesh, remove_material, sample_by, take_out
 
 Arrays = dict[str, NDArray[Any]]
+
+TOGETHER = 8
+"""The most lights of one render."""
+
+STRAY, STRAYS = 0.02, 16
+"""The share, and number, of the object's sub-samples that may differ between the two ways."""
+
+ROOM = 1 << 23
+"""The most numbers that a render may write for its lights: three or, of materials in colour, nine for each sub-sample and light. Each is
+held three times over."""
 
 
 def shoot(scene: Any, job: object, route: str = "auto") -> tuple[Arrays, str]:
@@ -28,8 +46,9 @@ def shoot(scene: Any, job: object, route: str = "auto") -> tuple[Arrays, str]:
     outside; albedo (H, W, 3) of the matte twin; gloss (H, W) alpha. Of each picture, as the job's "layers" ask: combined, diffuse,
     specular, matte (the Lambertian twin), ks0 (the picture with Ks = 0), mirror (the same shape as a perfect mirror), each (K, H, W, 3);
     lit (K, H, W) share of the sub-samples that the light reaches, for pictures with one sun or point light (1 elsewhere); and always
-    sum_error (K,), the largest |combined - (diffuse + specular)| of any sub-sample over the largest combined. With "crop" the arrays hold
-    the pixels of box (4,): x0, y0, x1, y1, the last two exclusive. Raises JobError where the job is wrong.
+    sum_error (K,), the largest |combined - (diffuse + specular)| of any sub-sample over the largest combined, 0 for the further lights of a
+    render. With "crop" the arrays hold the pixels of box (4,): x0, y0, x1, y1, the last two exclusive. Raises JobError where the job is
+    wrong.
     """
     checked = parse(job)
     asked = set(checked.layers)
@@ -65,7 +84,8 @@ class _Studio:
     """The scene while one job is shot: the object in it, and the lights."""
 
     def __init__(self, scene: Any, job: Job, box: tuple[int, int, int, int], route: str) -> None:
-        self.scene, self.job, self.box, self.route = scene, job, box, route
+        self.scene, self.job, self.route = scene, job, route
+        self._width, self._height = box[2] - box[0], box[3] - box[1]
         self.items: list[Any] = []
         self.rig = Rig(scene)
         try:
@@ -86,19 +106,21 @@ class _Studio:
 
     def pictures(self, material: Material, wanted: set[str], view: bool = False) -> Arrays:
         """The wanted layers of every picture in one material. view: also what does not depend on the light, and sum_error."""
+        job = self.job
+        if job.together and isinstance(material, OneLight):
+            samples = self._height * self._width * job.supersampling**2
+            most = min(TOGETHER, ROOM // (samples * (9 if material.coloured else 3)))
+            # To find out whether a mesh is convex takes about as long as a light of so many sub-samples.
+            if most > 1 and (job.solid or samples > len(job.mesh.faces)) and job.convex:
+                return self._together(material, wanted, view, most)
+        return self._each(material, wanted, view)
+
+    def _each(self, material: Material, wanted: set[str], view: bool) -> Arrays:
+        """`pictures`, a light at a time where the material asks for that."""
         job, n = self.job, self.job.supersampling
         placed = material.put(job.stand)
-        slots = self.object.data.materials
-        old = slots[0] if len(slots) else None
-        if old is None:
-            slots.append(placed.item)
-        else:
-            slots[0] = placed.item
-            remove_material(old)
-        x0, y0, x1, y1 = self.box
-        found: Arrays = {name: np.empty((len(job.lights), y1 - y0, x1 - x0, 3), np.float32) for name in wanted - {"lit"}}
-        if "lit" in wanted:
-            found["lit"] = np.ones((len(job.lights), y1 - y0, x1 - x0), np.float32)
+        self._wear(placed)
+        found = self._empty(wanted)
         errors = np.zeros(len(job.lights), np.float32)
         for k, lights in enumerate(job.lights):
             # What holds for one light alone is added up: light is additive.
@@ -107,7 +129,7 @@ class _Studio:
             for group in groups:
                 passes = self._render(placed, group)
                 last, largest = group is groups[-1], np.zeros(2)
-                for fine, rows in layers.strips((y1 - y0) * n, x1 - x0, n):
+                for fine, rows in layers.strips(self._height * n, self._width, n):
                     strip = {name: values[fine] for name, values in passes.items()}
                     parts, *extremes = layers.radiance(strip, material, placed, wanted)
                     largest = np.maximum(largest, extremes)
@@ -127,6 +149,61 @@ class _Studio:
         if view:
             found["sum_error"] = errors
         return found
+
+    def _together(self, material: OneLight, wanted: set[str], view: bool, most: int) -> Arrays:
+        """`pictures` of a convex object, up to `most` lights a render. Pictures are the sum of their parts, so that sum_error speaks of the
+        first light of each render alone. Raises RuntimeError where Cycles' own lobes show something else there."""
+        job, n = self.job, self.job.supersampling
+        found = self._empty(wanted)
+        for name in wanted - {"lit"}:
+            found[name].fill(0)
+        errors = np.zeros(len(job.lights), np.float32)
+        lights = [(k, light) for k, picture in enumerate(job.lights) for light in picture if isinstance(light, Sun | Point)]
+        for start in range(0, len(lights), most):
+            chunk = lights[start : start + most]
+            placed = material.put(job.stand, [aim_at(light) for _, light in chunk])
+            self._wear(placed)
+            passes = self._render(placed, (chunk[0][1],))
+            differing, largest = 0, np.zeros(2)
+            for fine, rows in layers.strips(self._height * n, self._width, n):
+                strip = {name: values[fine] for name, values in passes.items()}
+                own, *extremes = layers.radiance(strip, material, placed, {"diffuse", "specular"})
+                largest = np.maximum(largest, extremes)
+                differing += layers.differing(own, strip, material, chunk[0][1].intensity)
+                for i, (k, light) in enumerate(chunk):
+                    for name, part in layers.written(strip, material, i, light.intensity, wanted, n).items():
+                        if name != "lit":
+                            found[name][k, rows] += part
+                        elif len(job.lights[k]) == 1:
+                            found[name][k, rows] = part
+            seen = int((passes["Combined"][..., 3] > 0.5).sum())
+            if differing > max(STRAY * seen, STRAYS):
+                raise RuntimeError(
+                    f"{differing} of {seen} sub-samples show else under one light than among others; render without 'together'"
+                )
+            off, peak = largest
+            errors[chunk[0][0]] = off / peak if peak > 0 else float(off > 0)
+            if view and start == 0:
+                found |= layers.view(passes, material, n)
+        if view:
+            found["sum_error"] = errors
+        return found
+
+    def _wear(self, placed: Placed) -> None:
+        """Put a material on the object, and remove the one that it wore."""
+        slots = self.object.data.materials
+        if not len(slots):
+            slots.append(placed.item)
+            return
+        old = slots[0]
+        slots[0] = placed.item
+        remove_material(old)
+
+    def _empty(self, wanted: set[str]) -> Arrays:
+        """Arrays for the wanted layers of all pictures."""
+        shape = (len(self.job.lights), self._height, self._width)
+        found: Arrays = {name: np.empty((*shape, 3), np.float32) for name in wanted - {"lit"}}
+        return found | ({"lit": np.ones(shape, np.float32)} if "lit" in wanted else {})
 
     def _render(self, placed: Placed, group: tuple[Light, ...]) -> dict[str, layers.Floats]:
         self.rig.show(group, placed.gain)

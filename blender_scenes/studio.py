@@ -103,8 +103,8 @@ def sample_by(scene: Any, samples: int, bounces: int, seed: int) -> None:
     cycles.samples, cycles.seed = samples, seed
     # Every pixel draws the same directions: what error there is is smooth (light from that many directions), where noise would be in its
     # place, eight times as strong from pixel to pixel at 32 samples under a panorama.
-    cycles.sampling_pattern = "TABULATED_SOBOL" if samples > 1 else "AUTOMATIC"
-    cycles.scrambling_distance = 0.0 if samples > 1 else 1.0
+    cycles.sampling_pattern = "TABULATED_SOBOL"
+    cycles.scrambling_distance = 0.0
     # The tree of lights picks among many; where one sample meets one light it costs a tenth of the render and decides nothing.
     cycles.use_light_tree = samples > 1
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces

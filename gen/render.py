@@ -111,6 +111,8 @@ def jobs_of(spec: Spec, scratch: Path, workers: int = 1, whole: bool = False) ->
         "crop": spec.crop,
     }
     lights = [light.job() for light in spec.pictures()]
+    # Said of the capture, not of each job: the bits do not depend on how the lights are shared out.
+    common["together"] = len(lights) > 2
     # Setting up a scene takes as long as a small picture: a job then holds several lights, as long as no worker goes idle.
     share = (
         len(lights)

@@ -23,7 +23,7 @@ import numpy as np
 
 from blender_scenes.entries import Entries
 from blender_scenes.materials.base import Coated, Numbers, Placed, Stand
-from blender_scenes.materials.graph import Graph, diffuse_closure, glossy_closure
+from blender_scenes.materials.graph import Graph, Surface, diffuse_closure, glossy_closure
 from blender_scenes.materials.microfacet import fifth
 from blender_scenes.materials.texture import painted, publish, value_or_texture
 
@@ -38,7 +38,7 @@ class ApproximateSubstrate(Coated):
     own_twin: ClassVar[bool] = True
 
     def put(self, stand: Stand) -> Placed:
-        graph = Graph("approximate-substrate")
+        graph = Surface("approximate-substrate")
         base, shine = painted(graph, stand, self.diffuse), painted(graph, stand, self.specular)
         geometry = graph.node("ShaderNodeNewGeometry")
         mo = graph.math("MAXIMUM", graph.dot(geometry.outputs["Normal"], geometry.outputs["Incoming"]), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
 Vector = tuple[float, float, float]
+Aim = tuple[Numbers, Numbers | None]
+"""Where a light is: the unit direction (3,) to it from the origin and, of a light that is near, its position (3,) in mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +32,15 @@ class Stand:
 class Placed:
     """A material in Blender.
 
-    item: the Blender material. aim: tells the graph its one light, by a unit direction (3,) or, where `position` is given, by its place in
-    mm; None where the graph needs no light. gain: closure weights are multiplied by it, so the light's strength must be divided by it.
-    passes: names of the shader outputs ("albedo", "gloss") that the graph writes because they vary over the surface.
+    item: the Blender material. aim: tells the graph its one light; None where the graph needs no light. gain: closure weights are
+    multiplied by it, so the light's strength must be divided by it. passes: the shader outputs that the graph writes, name and channels:
+    "albedo" and "gloss" where they vary over the surface, and those of `one_light` for further lights.
     """
 
     item: Any
-    aim: Callable[[Numbers, Numbers | None], None] | None = None
+    aim: Callable[[Aim], None] | None = None
     gain: float = 1.0
-    passes: tuple[str, ...] = ()
+    passes: Mapping[str, str] = field(default_factory=dict)
 
 
 class Material:

@@ -3,9 +3,8 @@
 Source: Meka et al., "LIME: Live intrinsic material estimation", CVPR 2018. The lobe has no cosine of its own: it ends at once where n.l
 or n.v turns negative. Two kinds share this module and these values:
 
-- `blinn-phong` holds exactly under suns and point lights: the colour on Cycles' GGX lobe (see `microfacet`) is
-  2 m_s (h.n)^s (mi + mo) / mi. In narrow lobes, where n.h has no digits left, ln (h.n) is taken as -2 atanh(t) with
-  t = |n x h|^2 / (1 + n.h)^2.
+- `blinn-phong` holds exactly under suns and point lights (`one_light`). In narrow lobes, where n.h has no digits left, ln (h.n) is taken
+  as -2 atanh(t) with t = |n x h|^2 / (1 + n.h)^2.
 - `blinn-phong-lobe` holds under any light, interreflection too, by Cycles' Ashikhmin-Shirley lobe. That one's value, checked under a sun,
   is (s+1) / (8 pi) (h.n)^s mi / (l.h max(mi, mo)), so the colour 8 / (s+1) m_s mo leaves m_s (h.n)^s min(mi, mo) / (l.h): the
   definition itself in the mirrored direction, less than it where min(mi, mo) < l.h, away from the highlight's middle. Its relative RMS
@@ -18,14 +17,16 @@ or n.v turns negative. Two kinds share this module and these values:
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from blender_scenes.entries import Entries
 from blender_scenes.errors import JobError
 from blender_scenes.materials.base import Coated, Placed, Stand
-from blender_scenes.materials.graph import GAIN, Angles, Graph, angles, diffuse_closure, glossy_closure
+from blender_scenes.materials.graph import Angles, Graph, Surface, diffuse_closure, glossy_closure
 from blender_scenes.materials.microfacet import seen, sine2
+from blender_scenes.materials.one_light import OneLight
 from blender_scenes.materials.texture import painted, publish, value_or_texture
 
 EXPONENTS = (1.0, 1e5)
@@ -38,45 +39,48 @@ def alpha_of(exponent: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class BlinnPhong(Coated):
+class _Values(Coated):
     """diffuse: (3,) m_d in [0, 1]. specular: (3,) m_s, which may exceed 1. alpha: names the exponent s = 2 / alpha^2 - 2. All three may be
     textures. normalised: whether the lobe is multiplied by (s+8)/8."""
 
     normalised: bool = False
 
-    one_light: ClassVar[bool] = True
-
-    def put(self, stand: Stand) -> Placed:
-        graph = Graph("blinn-phong")
-        at = angles(graph, stand)
-        base, shine, alpha, exponent = self._values(graph, stand)
-        lobe = graph.math("EXPONENT", graph.math("MULTIPLY", exponent, _log_cosine(graph, at)))
-        both = graph.math("DIVIDE", graph.math("ADD", at.mi, at.mo), graph.math("MAXIMUM", at.mi, 1e-6))
-        lobe = graph.math("MULTIPLY", lobe, graph.math("MULTIPLY", both, graph.math("MULTIPLY", seen(graph, at), 2 * GAIN)))
-        diffuse = graph.vector("MULTIPLY", base, graph.math("MULTIPLY", seen(graph, at), GAIN))
-        specular = graph.vector("MULTIPLY", shine, lobe)
-        passes = publish(graph, albedo=base, gloss=alpha)
-        return Placed(graph.finish(diffuse_closure(graph, diffuse), glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
-
-    def _values(self, graph: Graph, stand: Stand) -> tuple[Any, Any, Any, Any]:
+    def values(self, graph: Graph, stand: Stand) -> tuple[Any, Any, Any, Any]:
         """m_d, m_s (times (s+8)/8 where normalised), alpha and s."""
         base, shine, alpha = (painted(graph, stand, value) for value in (self.diffuse, self.specular, self.alpha))
         exponent: Any = 2 / alpha**2 - 2 if isinstance(alpha, float) else _exponent(graph, alpha)
-        if self.normalised:
+        if self.normalised and isinstance(shine, tuple) and isinstance(exponent, float):
+            shine = tuple(value * (exponent + 8) / 8 for value in shine)
+        elif self.normalised:
             shine = graph.vector("MULTIPLY", shine, graph.math("MULTIPLY_ADD", exponent, 0.125, 1.0))
         return base, shine, alpha, exponent
 
 
 @dataclass(frozen=True, eq=False)
-class BlinnPhongLobe(BlinnPhong):
+class BlinnPhong(_Values, OneLight):
+    """The lobe in the colour of Cycles' GGX closure."""
+
+    def inputs(self, graph: Graph, stand: Stand) -> dict[str, Any]:
+        base, shine, alpha, exponent = self.values(graph, stand)
+        return {"albedo": base, "shine": shine, "gloss": alpha, "exponent": exponent}
+
+    @staticmethod
+    def lobes(graph: Graph, at: Angles, given: Mapping[str, Any]) -> tuple[Any, Any]:
+        base, shine = given["albedo"], given["shine"]
+        lobe = graph.math("EXPONENT", graph.math("MULTIPLY", given["exponent"], _log_cosine(graph, at)))
+        lobe = graph.math("DIVIDE", graph.math("MULTIPLY", lobe, seen(graph, at)), graph.math("MAXIMUM", at.mi, 1e-6))
+        return graph.calc("MULTIPLY", base, seen(graph, at)), graph.calc("MULTIPLY", shine, lobe)
+
+
+@dataclass(frozen=True, eq=False)
+class BlinnPhongLobe(_Values):
     """The same values on Cycles' Ashikhmin-Shirley lobe, for any light."""
 
-    one_light: ClassVar[bool] = False
     own_twin: ClassVar[bool] = True
 
     def put(self, stand: Stand) -> Placed:
-        graph = Graph("blinn-phong-lobe")
-        base, shine, alpha, exponent = self._values(graph, stand)
+        graph = Surface("blinn-phong-lobe")
+        base, shine, alpha, exponent = self.values(graph, stand)
         geometry = graph.node("ShaderNodeNewGeometry")
         mo = graph.math("MAXIMUM", graph.dot(geometry.outputs["Normal"], geometry.outputs["Incoming"]), 0.0)
         unit = graph.math("DIVIDE", 8.0, graph.math("ADD", exponent, 1.0))
@@ -103,7 +107,7 @@ def _log_cosine(graph: Graph, at: Angles) -> Any:
     return graph.math("MULTIPLY_ADD", graph.math("SUBTRACT", small, large), narrow, large)
 
 
-def parse(entries: Entries) -> BlinnPhong:
+def parse(entries: Entries) -> BlinnPhong | BlinnPhongLobe:
     """The material of a job's entry, of either kind. It has one of "exponent" (a number) and "alpha" (a number or a texture)."""
     if ("exponent" in entries.given) == ("alpha" in entries.given):
         raise JobError(f"{entries.where} needs one of exponent and alpha")

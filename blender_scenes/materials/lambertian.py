@@ -7,7 +7,7 @@ from typing import Any
 
 from blender_scenes.entries import Entries
 from blender_scenes.materials.base import Material, Placed, Stand
-from blender_scenes.materials.graph import Graph, diffuse_closure
+from blender_scenes.materials.graph import Surface, diffuse_closure
 from blender_scenes.materials.texture import painted, publish, value_or_texture
 
 
@@ -26,7 +26,7 @@ class Lambertian(Material):
         return 0.0
 
     def put(self, stand: Stand) -> Placed:
-        graph = Graph("lambertian")
+        graph = Surface("lambertian")
         base = painted(graph, stand, self.diffuse)
         passes = publish(graph, albedo=base)
         return Placed(graph.finish(diffuse_closure(graph, base)), passes=passes)

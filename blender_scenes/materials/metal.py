@@ -6,24 +6,25 @@ Radiance per unit of light intensity: pi D F(l.h) G / (4 mo); see `two_lobe` for
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from blender_scenes.entries import Entries
-from blender_scenes.materials.base import Material, Placed, Stand
-from blender_scenes.materials.graph import GAIN, Graph, angles, glossy_closure
+from blender_scenes.materials.base import Stand
+from blender_scenes.materials.graph import Angles, Graph
 from blender_scenes.materials.microfacet import ggx, schlick, seen
-from blender_scenes.materials.texture import painted, publish, value_or_texture
+from blender_scenes.materials.one_light import OneLight
+from blender_scenes.materials.texture import painted, value_or_texture
 
 
 @dataclass(frozen=True, eq=False)
-class Metal(Material):
+class Metal(OneLight):
     """specular: (3,) F0 in [0, 1], also the twin's albedo. alpha: width of the lobe. Either may be a texture."""
 
     specular: Any
     alpha: Any
 
-    one_light: ClassVar[bool] = True
     own_twin: ClassVar[bool] = True
 
     @property
@@ -34,14 +35,13 @@ class Metal(Material):
     def gloss(self) -> Any:
         return self.alpha
 
-    def put(self, stand: Stand) -> Placed:
-        graph = Graph("metal")
-        at = angles(graph, stand)
-        shine, alpha = painted(graph, stand, self.specular), painted(graph, stand, self.alpha)
-        lobe = graph.math("MULTIPLY", ggx(graph, at, alpha), seen(graph, at))
-        specular = graph.vector("MULTIPLY", schlick(graph, shine, at.ld), lobe)
-        passes = publish(graph, albedo=shine, gloss=alpha)
-        return Placed(graph.finish(glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
+    def inputs(self, graph: Graph, stand: Stand) -> dict[str, Any]:
+        return {"shine": painted(graph, stand, self.specular), "gloss": painted(graph, stand, self.alpha)}
+
+    @staticmethod
+    def lobes(graph: Graph, at: Angles, given: Mapping[str, Any]) -> tuple[Any, Any]:
+        lobe = graph.math("MULTIPLY", ggx(graph, at, given["gloss"]), seen(graph, at))
+        return None, graph.calc("MULTIPLY", schlick(graph, given["shine"], at.ld), lobe)
 
 
 def parse(entries: Entries) -> Metal:

@@ -8,7 +8,7 @@ import numpy as np
 
 from blender_scenes.entries import Entries
 from blender_scenes.materials.base import Material, Numbers, Placed, Stand
-from blender_scenes.materials.graph import Graph, glossy_closure
+from blender_scenes.materials.graph import Surface, glossy_closure
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Mirror(Material):
         return 0.0
 
     def put(self, stand: Stand) -> Placed:
-        graph = Graph("mirror")
+        graph = Surface("mirror")
         return Placed(graph.finish(glossy_closure(graph, (1.0, 1.0, 1.0, 1.0), 0.0)))
 
 

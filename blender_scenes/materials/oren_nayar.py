@@ -8,40 +8,46 @@ surface of the same Rd: the base itself is flatter than that, and brighter towar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any
 
 from blender_scenes.entries import Entries
-from blender_scenes.materials.base import Coated, Placed, Stand
-from blender_scenes.materials.graph import GAIN, Graph, angles, diffuse_closure, glossy_closure
+from blender_scenes.materials.base import Coated, Stand
+from blender_scenes.materials.graph import Angles, Graph
 from blender_scenes.materials.microfacet import ggx, schlick, seen
-from blender_scenes.materials.texture import painted, publish, value_or_texture
+from blender_scenes.materials.one_light import OneLight
+from blender_scenes.materials.texture import painted, value_or_texture
 
 
 @dataclass(frozen=True, eq=False)
-class OrenNayar(Coated):
+class OrenNayar(Coated, OneLight):
     """diffuse, specular: (3,) Rd, Rs in [0, 1]. alpha: width of the lobe. Each may be a texture. sigma: standard deviation of the slope of
     the base's facets, radians."""
 
     sigma: float
 
-    one_light: ClassVar[bool] = True
-
-    def put(self, stand: Stand) -> Placed:
-        graph = Graph("oren-nayar")
-        at = angles(graph, stand)
-        base, shine, alpha = (painted(graph, stand, value) for value in (self.diffuse, self.specular, self.alpha))
+    def inputs(self, graph: Graph, stand: Stand) -> dict[str, Any]:
         s2 = self.sigma**2
-        a, b = 1 - 0.5 * s2 / (s2 + 0.33), 0.45 * s2 / (s2 + 0.09)
+        return {
+            "albedo": painted(graph, stand, self.diffuse),
+            "shine": painted(graph, stand, self.specular),
+            "gloss": painted(graph, stand, self.alpha),
+            "A": 1 - 0.5 * s2 / (s2 + 0.33),
+            "B": 0.45 * s2 / (s2 + 0.09),
+        }
+
+    @staticmethod
+    def lobes(graph: Graph, at: Angles, given: Mapping[str, Any]) -> tuple[Any, Any]:
+        base, shine, alpha = given["albedo"], given["shine"], given["gloss"]
         larger = graph.math("MAXIMUM", graph.math("MAXIMUM", at.mi, at.mo), 1e-6)
         same_side = graph.math("SUBTRACT", graph.dot(at.l, at.v), graph.math("MULTIPLY", at.mi, at.mo))
         back = graph.math("DIVIDE", graph.math("MAXIMUM", same_side, 0.0), larger)
-        rough = graph.math("MULTIPLY_ADD", back, GAIN * b, GAIN * a)
-        diffuse = graph.vector("MULTIPLY", base, graph.math("MULTIPLY", rough, seen(graph, at)))
+        rough = graph.math("MULTIPLY_ADD", back, given["B"], given["A"])
+        diffuse = graph.calc("MULTIPLY", base, graph.math("MULTIPLY", rough, seen(graph, at)))
         lobe = graph.math("MULTIPLY", ggx(graph, at, alpha), seen(graph, at))
-        specular = graph.vector("MULTIPLY", schlick(graph, shine, at.ld), lobe)
-        passes = publish(graph, albedo=base, gloss=alpha)
-        return Placed(graph.finish(diffuse_closure(graph, diffuse), glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
+        specular = graph.calc("MULTIPLY", schlick(graph, shine, at.ld), lobe)
+        return diffuse, specular
 
 
 def parse(entries: Entries) -> OrenNayar:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from blender_scenes.entries import Entries
 from blender_scenes.materials.base import Material, Placed, Stand
-from blender_scenes.materials.graph import Graph
+from blender_scenes.materials.graph import Surface
 from blender_scenes.materials.texture import painted, publish, value_or_texture
 
 
@@ -43,7 +43,7 @@ class Principled(Material):
         return self.alpha
 
     def put(self, stand: Stand) -> Placed:
-        graph = Graph("principled")
+        graph = Surface("principled")
         base, alpha = painted(graph, stand, self.diffuse), painted(graph, stand, self.alpha)
         inputs: dict[str, Any] = {
             "Base Color": base,

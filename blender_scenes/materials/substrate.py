@@ -3,59 +3,55 @@
 Source of the BRDF: Ashikhmin and Shirley, "An anisotropic Phong BRDF model" (2000), in the form of Pharr, Jakob and Humphreys,
 "Physically Based Rendering", 3rd edition, sections 8.4 and 8.5.
 
-Cycles has no such material, but under a single light of known direction L every angle is known to the node graph, so the colours of two
-plain closures can carry the whole BRDF. With mi = n.l, mo = n.v, h the half vector:
+With mi = n.l, mo = n.v, h the half vector, per unit of light intensity and of mi (`one_light`):
 
-- Diffuse: its own value is 1/pi mi; the colour is 28/23 Rd (1-Rs) [1-(1-mi/2)^5] [1-(1-mo/2)^5].
-- Glossy, GGX of alpha 1: its own value is D_1 G_1 / (4 mo), where D_1 = 1/pi whatever the direction and, by Smith's correlated
-  shadowing at alpha 1, G_1 = 2 mi mo / (mi + mo). The colour F pi D_alpha (mi + mo) / (2 max(mi, mo) (l.h)) turns this into
-  D_alpha F mi / (4 (l.h) max(mi, mo)). The distribution is thus evaluated here for every alpha, below and above 1, from |n x h|
-  and so without the cancellation that n.h near 1 suffers in single precision: a narrow lobe of alpha 0.01 keeps all its digits.
+- Diffuse: 28/23 Rd (1-Rs) [1-(1-mi/2)^5] [1-(1-mo/2)^5].
+- Specular: pi D_alpha F / (4 (l.h) max(mi, mo)). The distribution is evaluated here for every alpha, below and above 1, from |n x h| and
+  so without the cancellation that n.h near 1 suffers in single precision: a narrow lobe of alpha 0.01 keeps all its digits.
 
 Shadows, attached and cast, remain Cycles' own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any
 
 from blender_scenes.entries import Entries
-from blender_scenes.materials.base import Coated, Placed, Stand
-from blender_scenes.materials.graph import GAIN, LEAST, Graph, angles, diffuse_closure, glossy_closure
-from blender_scenes.materials.microfacet import distribution, fifth, schlick, seen
-from blender_scenes.materials.texture import painted, publish, value_or_texture
+from blender_scenes.materials.base import Coated, Stand
+from blender_scenes.materials.graph import Angles, Graph
+from blender_scenes.materials.microfacet import distribution, fifth, schlick
+from blender_scenes.materials.one_light import OneLight
+from blender_scenes.materials.texture import painted, value_or_texture
 
 
 @dataclass(frozen=True, eq=False)
-class Substrate(Coated):
+class Substrate(Coated, OneLight):
     """diffuse, specular: (3,) Rd, Rs in [0, 1]. alpha: width of the Trowbridge-Reitz distribution. Each may be a texture."""
 
-    one_light: ClassVar[bool] = True
+    def inputs(self, graph: Graph, stand: Stand) -> dict[str, Any]:
+        return {
+            "albedo": painted(graph, stand, self.diffuse),
+            "shine": painted(graph, stand, self.specular),
+            "gloss": painted(graph, stand, self.alpha),
+        }
 
-    def put(self, stand: Stand) -> Placed:
-        graph = Graph("substrate")
-        at = angles(graph, stand)
-        base, shine, alpha = (painted(graph, stand, value) for value in (self.diffuse, self.specular, self.alpha))
-        larger = graph.math("MAXIMUM", graph.math("MAXIMUM", at.mi, at.mo), 1e-6)
-        both = graph.math("ADD", at.mi, at.mo)
-        shape = graph.math("DIVIDE", both, graph.math("MULTIPLY", graph.math("MULTIPLY", larger, 2.0), at.ld))
-        strength = graph.math("MULTIPLY", distribution(graph, at, alpha), shape)
-        specular = graph.vector("MULTIPLY", schlick(graph, shine, at.ld), strength)
+    @staticmethod
+    def lobes(graph: Graph, at: Angles, given: Mapping[str, Any]) -> tuple[Any, Any]:
+        base, shine, alpha = given["albedo"], given["shine"], given["gloss"]
+        larger = graph.math("MAXIMUM", at.mi, graph.math("MAXIMUM", at.mo, 1e-6))
+        shape = graph.math("MULTIPLY", larger, graph.math("MULTIPLY", at.ld, 4.0))
+        specular = graph.calc("MULTIPLY", schlick(graph, shine, at.ld), distribution(graph, at, alpha, shape))
 
         dim = graph.math(
             "MULTIPLY",
             graph.math("SUBTRACT", 1.0, fifth(graph, at.mi, 0.5)),
             graph.math("SUBTRACT", 1.0, fifth(graph, at.mo, 0.5)),
         )
-        under = graph.vector("MULTIPLY", graph.vector("SUBTRACT", 1.0, shine), graph.math("MULTIPLY", dim, GAIN * 28 / 23))
-        diffuse = graph.vector(
-            "MAXIMUM",
-            graph.vector("MULTIPLY", under, base),
-            graph.vector("MULTIPLY", graph.math("MULTIPLY", seen(graph, at), GAIN * LEAST), base),
-        )
-        passes = publish(graph, albedo=base, gloss=alpha)
-        return Placed(graph.finish(diffuse_closure(graph, diffuse), glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
+        under = graph.calc("MULTIPLY", graph.calc("SUBTRACT", 1.0, shine), base)
+        diffuse = graph.calc("MULTIPLY", graph.calc("MULTIPLY", under, 28 / 23), dim)
+        return diffuse, specular
 
 
 def parse(entries: Entries) -> Substrate:

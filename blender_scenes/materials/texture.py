@@ -20,7 +20,7 @@ import numpy as np
 from blender_scenes.entries import Entries
 from blender_scenes.errors import JobError
 from blender_scenes.materials.base import Numbers, Stand
-from blender_scenes.materials.graph import Graph
+from blender_scenes.materials.graph import Graph, width_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +136,12 @@ def painted(graph: Graph, stand: Stand, value: Any) -> Any:
     return tuple(float(v) for v in value) if np.ndim(value) else float(value)
 
 
-def publish(graph: Graph, albedo: Any = None, gloss: Any = None) -> tuple[str, ...]:
-    """Write those that are outputs of the graph, not constants, as shader outputs. Returns their names, for `Placed.passes`."""
-    names = []
-    for name, socket, value in (("albedo", "Color", albedo), ("gloss", "Value", gloss)):
-        if value is not None and not isinstance(value, float | tuple):
-            graph.node("ShaderNodeOutputAOV", **{socket: value}).aov_name = name
-            names.append(name)
-    return tuple(names)
+def publish(graph: Graph, **values: Any) -> dict[str, str]:
+    """Write those that are outputs of the graph, not constants, as shader outputs. Returns their names and channels, as `Placed.passes`."""
+    names = {}
+    for name, value in values.items():
+        if not isinstance(value, float | tuple):
+            colour = width_of(value) == 3
+            graph.node("ShaderNodeOutputAOV", **{"Color" if colour else "Value": value}).aov_name = name
+            names[name] = "RGBA" if colour else "X"
+    return names

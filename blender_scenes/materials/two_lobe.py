@@ -7,38 +7,45 @@ rough surfaces", EGSR 2007; Ngan, Durand and Matusik, "Experimental analysis of 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from blender_scenes.entries import Entries
-from blender_scenes.materials.base import Coated, Placed, Stand
-from blender_scenes.materials.graph import GAIN, Graph, angles, diffuse_closure, glossy_closure
+from blender_scenes.materials.base import Coated, Stand
+from blender_scenes.materials.graph import Angles, Graph
 from blender_scenes.materials.microfacet import ggx, schlick, seen
-from blender_scenes.materials.texture import painted, publish, value_or_texture
+from blender_scenes.materials.one_light import OneLight
+from blender_scenes.materials.texture import painted, value_or_texture
 
 
 @dataclass(frozen=True, eq=False)
-class TwoLobe(Coated):
+class TwoLobe(Coated, OneLight):
     """diffuse, specular: (3,) Rd, Rs in [0, 1]. alpha, alpha2: widths of the lobes; the first is the one that counts as the gloss. mix: the
     second's share. All but mix may be textures."""
 
     alpha2: Any
     mix: float
 
-    one_light: ClassVar[bool] = True
+    def inputs(self, graph: Graph, stand: Stand) -> dict[str, Any]:
+        return {
+            "albedo": painted(graph, stand, self.diffuse),
+            "shine": painted(graph, stand, self.specular),
+            "gloss": painted(graph, stand, self.alpha),
+            "second": painted(graph, stand, self.alpha2),
+            "share": 1 - self.mix,
+            "mix": self.mix,
+        }
 
-    def put(self, stand: Stand) -> Placed:
-        graph = Graph("two-lobe")
-        at = angles(graph, stand)
-        values = (self.diffuse, self.specular, self.alpha, self.alpha2)
-        base, shine, alpha, alpha2 = (painted(graph, stand, value) for value in values)
-        lobe = graph.math("MULTIPLY", ggx(graph, at, alpha), 1 - self.mix)
-        lobe = graph.math("MULTIPLY_ADD", ggx(graph, at, alpha2), self.mix, lobe)
+    @staticmethod
+    def lobes(graph: Graph, at: Angles, given: Mapping[str, Any]) -> tuple[Any, Any]:
+        base, shine = given["albedo"], given["shine"]
+        lobe = graph.math("MULTIPLY", ggx(graph, at, given["gloss"]), given["share"])
+        lobe = graph.math("MULTIPLY_ADD", ggx(graph, at, given["second"]), given["mix"], lobe)
         lobe = graph.math("MULTIPLY", lobe, seen(graph, at))
-        specular = graph.vector("MULTIPLY", schlick(graph, shine, at.ld), lobe)
-        diffuse = graph.vector("MULTIPLY", base, graph.math("MULTIPLY", seen(graph, at), GAIN))
-        passes = publish(graph, albedo=base, gloss=alpha)
-        return Placed(graph.finish(diffuse_closure(graph, diffuse), glossy_closure(graph, specular, 1.0)), at.aim, GAIN, passes)
+        specular = graph.calc("MULTIPLY", schlick(graph, shine, at.ld), lobe)
+        diffuse = graph.calc("MULTIPLY", base, seen(graph, at))
+        return diffuse, specular
 
 
 def parse(entries: Entries) -> TwoLobe:

@@ -43,7 +43,10 @@ SHAPES = {
 }
 """Name of each shape and the module that holds its function (of the same name) and its `sample`."""
 
-__all__ = ["SHAPES", "Mesh", "Parameter", "Range", "build", "describe", "parameters", "sample"]
+CONVEX = frozenset({"capsule", "cone", "cylinder", "ellipsoid", "rounded_box", "sphere", "truncated_cone"})
+"""Those that are convex whatever their parameters. Of others `Mesh.is_convex` finds out, which may take as long as a small picture."""
+
+__all__ = ["CONVEX", "SHAPES", "Mesh", "Parameter", "Range", "build", "describe", "parameters", "sample"]
 
 
 @cache

@@ -63,6 +63,50 @@ class Mesh:
         """Distance of the farthest vertex from the origin."""
         return float(np.sqrt((self.vertices**2).sum(axis=1).max()))
 
+    def is_convex(self) -> bool:
+        """Whether the faces are the whole surface of one convex solid, to 1e-9 of its size; flat faces of four corners count.
+
+        A closed surface that is convex at every edge is the surface of a convex solid if it has the sphere's Euler characteristic; two
+        such surfaces would have twice that (Hadamard's theorem).
+        """
+        faces = self.faces if self.faces.shape[1] == 3 else self.faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+        allowed = 1e-9 * float(np.ptp(self.vertices, axis=0).max())
+        # Most others are found out by some of their faces.
+        for a, b, c in self.vertices[faces[:: max(len(faces) // 16, 1)]]:
+            normal = np.cross(b - a, c - a)
+            if np.einsum("vc,c->v", self.vertices - a, normal).max() > allowed * np.linalg.norm(normal):
+                return False
+        weld = _welded(self.vertices)
+        joined = weld[faces]
+        whole = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
+        faces, joined = faces[whole], joined[whole].astype(np.int64)
+        count = int(weld.max()) + 1
+        here = (joined * count + np.roll(joined, -1, axis=1)).ravel()
+        there = (np.roll(joined, -1, axis=1) * count + joined).ravel()
+        order, other = np.argsort(here), np.argsort(there)
+        edges = here[order]
+        if (edges[1:] == edges[:-1]).any() or not np.array_equal(edges, there[other]):
+            return False
+        if int((np.bincount(joined.ravel()) > 0).sum()) - len(here) // 2 + len(faces) != 2:
+            return False
+        # The corner of the face across an edge that is not on the edge must lie on or below the plane of this face.
+        across = np.empty(len(here), np.int64)
+        across[order] = np.roll(faces, -2, axis=1).ravel()[other]
+        points = self.vertices[faces]
+        normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        above = np.einsum("fec,fc->fe", self.vertices[across].reshape(-1, 3, 3) - points[:, :1], normals)
+        return bool((above <= allowed * length).all())
+
+
+def _welded(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
+    """A number for each vertex (V,), the same for those at the same place."""
+    order = np.lexsort(vertices.T)
+    ordered = vertices[order]
+    number = np.zeros(len(vertices), np.int64)
+    number[order[1:]] = np.cumsum((ordered[1:] != ordered[:-1]).any(axis=1))
+    return number
+
 
 def _rows(array: Any, what: str) -> NDArray[np.float64]:
     rows = np.asarray(array, dtype=np.float64)
