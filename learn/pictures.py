@@ -1,4 +1,4 @@
-"""Single pictures with their truth from a pack, for the methods that see one picture at a time: cropped, flipped, in batches.
+"""Single pictures with their truth from a pack, for the methods that see one picture at a time: cropped, flipped, recoloured, in batches.
 
 A batch is a pure function of the seed and its number. The pictures of a split stand in a new order every epoch, and batches are cut from
 the endless row of epochs: all are full, and every epoch holds each picture once.
@@ -30,6 +30,8 @@ OPTIONS: Mapping[str, Any] = {
     "validation_share": 0.05,
     "crop": 0,
     "flip": True,
+    "zoom": 1.0,
+    "recolour": False,
     "device_cache_gb": 4.0,
 }
 """The `data` table and its defaults; see `Pictures`."""
@@ -40,8 +42,19 @@ LIME_LAYERS = ("albedo", "specular_albedo", "gloss", "mirror")
 UNIFORM = 0.01
 """By how much reflectance or alpha may differ over an object that counts as one material; half precision alone is .001."""
 
-ORDER, PLACE = 0, 1
-"""What a random stream is for: the order of an epoch, the crops and turns of a batch."""
+ORDER, PLACE, COLOUR = 0, 1, 2
+"""What a random stream is for: the order of an epoch, the crops and turns of a batch, its colours."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is shown of a picture: rows, columns, resampled to size (h, w), then turned by quarters and mirrored."""
+
+    rows: slice
+    columns: slice
+    size: tuple[int, int]
+    turns: int
+    mirrored: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +84,9 @@ class Pictures:
     data: see `OPTIONS`. pack: the file. train_split, validation_split: which items; where the pack has none of validation_split,
     validation_share of the training items is held out, chosen by their ids alone. crop: side of the square that is cut out so that it
     shows the object, all of it where it fits; 0 takes whole pictures. flip: random mirrorings and quarter turns (half turns where
-    pictures are not square). Validation pictures are cropped about the object's middle and never turned. device_cache_gb: a pack whose
+    pictures are not square). zoom: whole pictures are enlarged by up to that factor, drawn evenly in its logarithm, about a place on the
+    object. recolour: the channels are put in a random order, the same for all layers: hues that no picture has, of the same physics.
+    Validation pictures are cropped about the object's middle, and neither turned, enlarged nor recoloured. device_cache_gb: a pack whose
     layers are no larger is copied to a device other than the CPU once; otherwise its pixels come from the mapped file.
 
     split: "train" or "validation". factors: whether LIME's are wanted.
@@ -88,6 +103,8 @@ class Pictures:
         self.device, self.seed, self.training = device, seed, split == "train"
         self.crop: int = options["crop"]
         self.flip: bool = options["flip"] and self.training
+        self.zoom: float = options["zoom"] if self.training else 1.0
+        self.recolour: bool = options["recolour"] and self.training
         self.items = _items(pack, options, self.training)
         self.frames = np.array([frame for item in self.items for frame in range(*pack.items[item]["frames"])])
         self.steps_per_epoch = math.ceil(len(self.frames) / batch)
@@ -102,10 +119,14 @@ class Pictures:
         rng = np.random.default_rng([self.seed, PLACE, step])
         windows = [self._window(self.mask[self.item_of[frame]], rng) for frame in frames]
         layers = {name: self._cut(array, frames, windows) for name, array in self.layers.items()}
+        colours = self._colours(step)
+        if colours is not None:
+            wide = colours[:, :, None, None]
+            layers = {name: layer.gather(1, wide.expand(-1, -1, *layer.shape[2:])) for name, layer in layers.items()}
         mask = self._cut(self.mask, self.item_of[frames], windows)[:, None].bool()
         image = layers["combined"] if "combined" in layers else layers["diffuse"] + layers["specular"]
         plain = PictureBatch(image, layers["diffuse"], layers["specular"], mask)
-        return plain if self.materials is None else self._with_factors(plain, frames, layers["mirror"])
+        return plain if self.materials is None else self._with_factors(plain, frames, layers["mirror"], colours)
 
     def _numbers(self, step: int) -> NDArray[np.int64]:
         """Which of the split's pictures batch `step` holds."""
@@ -114,34 +135,48 @@ class Pictures:
         orders = {epoch: np.random.default_rng([self.seed, ORDER, epoch]).permutation(count) for epoch in set(places // count)}
         return np.array([orders[place // count][place % count] for place in places])
 
-    def _window(self, mask: NDArray[np.bool_], rng: np.random.Generator) -> tuple[slice, slice, int, bool]:
-        """Rows, columns, quarter turns and whether mirrored, of one picture. mask: (h, w)."""
+    def _window(self, mask: NDArray[np.bool_], rng: np.random.Generator) -> Window:
+        """What is shown of one picture. mask: (h, w)."""
         rows, columns = (slice(0, side) for side in mask.shape)
         if self.crop:
-            rows, columns = _around(mask, self.crop, rng if self.training else None)
+            rows, columns = _around(mask, (self.crop, self.crop), rng if self.training else None)
+        size = rows.stop - rows.start, columns.stop - columns.start
+        if self.zoom > 1:
+            factor = self.zoom ** rng.random()
+            rows, columns = _around(mask, (round(size[0] / factor), round(size[1] / factor)), rng)
         if not self.flip:
-            return rows, columns, 0, False
+            return Window(rows, columns, size, 0, False)
         turns = int(rng.integers(4))
-        square = rows.stop - rows.start == columns.stop - columns.start
-        return rows, columns, turns if square else turns // 2 * 2, bool(rng.integers(2))
+        return Window(rows, columns, size, turns if size[0] == size[1] else turns // 2 * 2, bool(rng.integers(2)))
 
-    def _cut(self, array: Any, entries: NDArray[Any], windows: Sequence[tuple[slice, slice, int, bool]]) -> Tensor:
+    def _colours(self, step: int) -> Tensor | None:
+        """The order of each picture's channels (B, 3), or None where they stay."""
+        if not self.recolour:
+            return None
+        rng = np.random.default_rng([self.seed, COLOUR, step])
+        return torch.from_numpy(np.stack([rng.permutation(3) for _ in range(self.pictures)])).to(self.device)
+
+    def _cut(self, array: Any, entries: NDArray[Any], windows: Sequence[Window]) -> Tensor:
         """Entries of an array (E, h, w[, 3]), each through its window, float32 (B[, 3], H, W) on the device."""
         library = torch if isinstance(array, Tensor) else np
         parts = []
-        for entry, (rows, columns, turns, mirrored) in zip(entries, windows, strict=True):
-            part = array[int(entry), rows, columns]
-            part = library.rot90(part, turns, (0, 1)) if turns else part
-            parts.append(library.flip(part, (1,)) if mirrored else part)
+        for entry, window in zip(entries, windows, strict=True):
+            part = array[int(entry), window.rows, window.columns]
+            if tuple(part.shape[:2]) != window.size:
+                part = _resampled(part, window.size)
+            part = library.rot90(part, window.turns, (0, 1)) if window.turns else part
+            parts.append(library.flip(part, (1,)) if window.mirrored else part)
         stacked = library.stack(parts)
         tensor = stacked if isinstance(stacked, Tensor) else torch.from_numpy(stacked).to(self.device)
         tensor = tensor.float()
         return tensor.permute(0, 3, 1, 2).contiguous() if tensor.ndim == 4 else tensor
 
-    def _with_factors(self, plain: PictureBatch, frames: NDArray[Any], mirror: Tensor) -> PictureBatch:
+    def _with_factors(self, plain: PictureBatch, frames: NDArray[Any], mirror: Tensor, colours: Tensor | None) -> PictureBatch:
         assert self.materials is not None
         m = torch.from_numpy(self.materials[self.item_of[frames]]).to(self.device)
         m_d, m_s, exponent = m[:, :3], m[:, 3:6], m[:, 6]
+        if colours is not None:
+            m_d, m_s = m_d.gather(1, colours), m_s.gather(1, colours)
         return PictureBatch(
             plain.image,
             plain.diffuse,
@@ -172,6 +207,8 @@ def _open(options: Mapping[str, Any]) -> Pack:
         raise InputError("data: pack is missing; name the file that degloss gen pack wrote")
     if not 0 <= options["validation_share"] < 1:
         raise InputError(f"data: validation_share = {options['validation_share']} must be from 0 to less than 1")
+    if not 1 <= options["zoom"] <= 4 or (options["crop"] and options["zoom"] > 1):
+        raise InputError(f"data: zoom = {options['zoom']} must be from 1 to 4, and 1 where pictures are cropped")
     if options["device_cache_gb"] < 0:
         raise InputError(f"data: device_cache_gb = {options['device_cache_gb']} must not be negative")
     pack = read_pack(Path(options["pack"]))
@@ -234,8 +271,18 @@ def _over(layer: Tensor, divisor: Tensor) -> Tensor:
     return torch.where(wide > 0, layer / torch.where(wide > 0, wide, torch.ones_like(wide)), torch.zeros_like(layer))
 
 
-def _around(mask: NDArray[np.bool_], side: int, rng: np.random.Generator | None) -> tuple[slice, slice]:
-    """A square of `side` pixels that shows the object of a mask (h, w), drawn by rng or, without one, about its middle.
+def _resampled(part: Any, size: tuple[int, int]) -> Any:
+    """Part of a layer (h, w[, 3]), resampled to a size: linearly, a mask by its nearest pixel."""
+    given = part if isinstance(part, Tensor) else torch.from_numpy(np.ascontiguousarray(part))
+    wide = given.float()[None, None] if given.ndim == 2 else given.float().permute(2, 0, 1)[None]
+    mode = {"mode": "nearest-exact"} if given.dtype == torch.bool else {"mode": "bilinear", "align_corners": False}
+    enlarged = torch.nn.functional.interpolate(wide, size=size, **mode)
+    found = (enlarged[0, 0] if given.ndim == 2 else enlarged[0].permute(1, 2, 0)).to(given.dtype)
+    return found if isinstance(part, Tensor) else found.numpy()
+
+
+def _around(mask: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator | None) -> tuple[slice, slice]:
+    """A window of `size` pixels that shows the object of a mask (h, w), drawn by rng or, without one, about its middle.
 
     Along each axis it holds the whole object where that fits, and otherwise lies within its extent; a pixel of the object is always in it.
     """
@@ -246,7 +293,7 @@ def _around(mask: NDArray[np.bool_], side: int, rng: np.random.Generator | None)
     middle = places[np.abs(places - (low + high) / 2).sum(axis=1).argmin()]
     shown = middle if rng is None else places[rng.integers(len(places))]
     windows = []
-    for first, last, pixel, length in zip(low, high, shown, mask.shape, strict=True):
+    for first, last, pixel, length, side in zip(low, high, shown, mask.shape, size, strict=True):
         inner, outer = sorted((first, last + 1 - side))
         least = max(0, inner, pixel + 1 - side)
         most = min(length - side, outer, pixel)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,46 @@ def test_all_turns_and_mirrorings_come_and_none_where_they_are_off(pack: Path) -
     assert ways(uncropped) == {(a, 0, 0, b) for a in (1, -1) for b in (1, -1)}  # 24x20: no quarter turns
 
 
+def test_colours_change_places_in_all_layers_alike(pack: Path, tmp_path: Path) -> None:
+    plain, moved = (source(pack, batch=64, recolour=on).batch(0) for on in (False, True))
+    assert torch.equal(plain.mask, moved.mask)
+    assert torch.equal(moved.specular, 2 * moved.diffuse)
+    assert torch.equal(moved.image, moved.diffuse + moved.specular)
+    orders = set()
+    for before, after in zip(plain.diffuse, moved.diffuse, strict=True):
+        (order,) = [order for order in itertools.permutations(range(3)) if torch.equal(before[list(order)], after)]
+        orders.add(order)
+    assert len(orders) == 6
+    held = source(pack, batch=2, split="validation", validation_share=0.3, recolour=True).batch(0)
+    assert torch.equal(held.diffuse, source(pack, batch=2, split="validation", validation_share=0.3).batch(0).diffuse)
+    lime = write(tmp_path / "lime.pack", glossy(), ["train"] * 2)
+    factors = Pictures({"pack": str(lime), "validation_share": 0.0, "recolour": True}, 32, 1, CPU, "train", factors=True).batch(0)
+    assert factors.D is not None
+    assert factors.m_d is not None
+    assert len({tuple(row) for row in factors.m_d.tolist()}) == 6
+    torch.testing.assert_close(factors.D * factors.m_d[:, :, None, None], factors.diffuse)
+
+
+def test_whole_pictures_are_enlarged_about_the_object(pack: Path) -> None:
+    batch = source(pack, batch=64, zoom=1.6, flip=False).batch(0)
+    assert batch.image.shape == (64, 3, H, W)
+    torch.testing.assert_close(batch.specular, 2 * batch.diffuse)
+    # Green is the row, blue the column: they grow by one over the factor, which is the same both ways to a pixel of the window.
+    _, row, column = batch.diffuse.unbind(1)
+    down, right = (row[:, 13] - row[:, 8])[:, 0] / 5, (column[:, :, 13] - column[:, :, 8])[:, 0] / 5
+    torch.testing.assert_close(down, right, atol=0.06, rtol=0)
+    assert down.min() < 0.68
+    assert down.max() > 0.95
+    assert down.min() >= 1 / 1.6 - 0.03
+    # What is shown is the object, as large as it is now.
+    areas = batch.mask.sum(dim=(1, 2, 3)) * down * right
+    assert areas.min() > 5
+    assert areas.max() < 65
+    assert torch.equal(batch.mask, source(pack, batch=64, zoom=1.6, flip=False).batch(0).mask)
+    held = source(pack, batch=2, split="validation", validation_share=0.3, zoom=1.6).batch(0)
+    assert torch.equal(held.diffuse, source(pack, batch=2, split="validation", validation_share=0.3).batch(0).diffuse)
+
+
 def test_validation_is_the_same_whole_way_round_every_time(tmp_path: Path) -> None:
     divided = write(tmp_path / "divided.pack", layers(7), ["train"] * 4 + ["validation"] * 2 + ["test"])
     held = source(divided, batch=2, split="validation", crop=12)
@@ -238,6 +279,8 @@ def test_two_materials_or_a_missing_layer_are_refused_for_lime(tmp_path: Path) -
         ({"validation_share": 1.0}, "train", "less than 1"),
         ({"validation_share": 0.0}, "validation", "no item of validation_split"),
         ({"validation_split": "train"}, "validation", "are both 'train'"),
+        ({"zoom": 0.5}, "train", "zoom = 0.5 must be from 1 to 4"),
+        ({"zoom": 2.0, "crop": 12}, "train", "and 1 where pictures are cropped"),
         ({"device_cache_gb": -1}, "train", "must not be negative"),
     ],
 )
