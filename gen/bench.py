@@ -25,8 +25,8 @@ import numpy as np
 
 from gen.farm import Farm
 from gen.files import dumps
+from gen.render import jobs_of
 from gen.sets.campaign import render_items
-from gen.sets.item_folder import item_jobs
 from gen.sets.plan import Item, plan_of
 
 BLENDERPROC = "BLENDERPROC_PYTHON"
@@ -94,7 +94,7 @@ def measure(preset: str, rounds: int, python: str | None) -> dict[str, Any]:
             for again in range(REPEATS)
             for item in plan_of(preset).items
         ]
-        frames[name] = [job for item in items[name] for job in item_jobs(item.capture_spec(), Path("unused"))]
+        frames[name] = [job for item in items[name] for job in jobs_of(item.capture_spec(), Path("unused"))]
     rows: dict[str, list[float]] = {}
     starts: list[float] = []
     stacks: list[dict[str, float]] = []

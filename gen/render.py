@@ -27,7 +27,9 @@ from gen.formats.render_folder import write_files
 from gen.spec import Spec
 from gen.spec_parts import Orthographic
 
-SAMPLES_PER_JOB = 1 << 18
+SAMPLES_PER_JOB = 1 << 21
+"""Lights times sub-samples of a picture in one job: as a rule all of a capture's, so that its scene is set up once; some 200 MB at most."""
+
 SUM_TOLERANCE = 1e-6
 """Largest |combined - (diffuse + specular)| of a render, relative to the picture's peak: float32 rounding of Cycles' own sum."""
 
@@ -86,10 +88,9 @@ def render(
     return assemble(spec, [shots[job["id"]] for job in jobs], made_by, sum(outcome.seconds for outcome in outcomes))
 
 
-def jobs_of(spec: Spec, scratch: Path, workers: int = 1, whole: bool = False) -> list[dict[str, Any]]:
-    """The jobs of a spec, every value resolved: keys as in `blender_scenes.job`. scratch: the folder for their output.
-
-    whole: one job for all pictures, for when the workers have other captures to share.
+def jobs_of(spec: Spec, scratch: Path, workers: int = 1) -> list[dict[str, Any]]:
+    """The jobs of a spec, every value resolved: keys as in `blender_scenes.job`. scratch: the folder for their output. workers: how many
+    share them; where they have other captures to share, that is one.
     """
     W, H = spec.resolution
     camera: dict[str, Any] = {"kind": spec.camera.kind, "distance": spec.camera.distance_mm}
@@ -113,12 +114,7 @@ def jobs_of(spec: Spec, scratch: Path, workers: int = 1, whole: bool = False) ->
     lights = [light.job() for light in spec.pictures()]
     # Said of the capture, not of each job: the bits do not depend on how the lights are shared out.
     common["together"] = len(lights) > 2
-    # Setting up a scene takes as long as a small picture: a job then holds several lights, as long as no worker goes idle.
-    share = (
-        len(lights)
-        if whole
-        else min(math.ceil(len(lights) / workers), max(1, SAMPLES_PER_JOB // (W * H * spec.supersampling**2)))
-    )
+    share = min(math.ceil(len(lights) / workers), max(1, SAMPLES_PER_JOB // (W * H * spec.supersampling**2)))
     return [
         {"id": f"{k + 1:03d}", "out": str(scratch / f"{k + 1:03d}.npz"), **common, "lights": lights[k : k + share]}
         for k in range(0, len(lights), share)

@@ -25,8 +25,9 @@ from gen.errors import InputError
 from gen.farm import DEVICES, Farm, Job, Outcome, check_workers, find_blender
 from gen.files import dumps
 from gen.formats.render_folder import UNITS
+from gen.render import jobs_of
 from gen.sets.events import record
-from gen.sets.item_folder import clear_damaged, finish_item, item_jobs, quarantine, quarantined_row, rendered_row
+from gen.sets.item_folder import clear_damaged, finish_item, quarantine, quarantined_row, rendered_row
 from gen.sets.plan import Item, Plan
 from gen.sets.set_folder import FORMAT, INDEX, ITEMS, PLAN, QUARANTINE, SET, VERSION
 from gen.sets.work_folder import NAME, work_folder
@@ -150,7 +151,7 @@ def render_items(folder: Path, items: Sequence[Item], farm: Farm, work: Path, fi
             try:
                 spec = _as_written(item).capture_spec()
                 place.mkdir()
-                made = item_jobs(spec, place)
+                made = jobs_of(spec, place)
             except InputError as error:
                 refused.put((item, spec, str(error)))
                 continue

@@ -19,29 +19,14 @@ from gen.capture import Capture, Fault, Floats
 from gen.errors import InputError
 from gen.files import MARK, dumps, inside
 from gen.formats.render_folder import write_files
-from gen.render import jobs_of, load_shot
+from gen.render import load_shot
 from gen.sets.plan import Item, identities
 from gen.sets.set_folder import COLUMNS, ITEM, ITEMS, QUARANTINE, QUARANTINED, RENDERED, Row, read_row, row_text
 from gen.sets.thumbnail import THUMBNAIL, frontal, thumbnail
 from gen.spec import Spec
 from gen.srgb import linear_to_srgb
 
-SAMPLES_PER_JOB = 1 << 21
-"""Lights times samples of a picture in one job: all of an item's, as a rule, so that its scene is set up once; some 200 MB at most."""
-
 OURS = re.compile(r"capture\.json|frames/\d+\.exr|view\.exr|mask\.png|preview\.png|spec\.yaml|item\.json|\.degloss")
-
-
-def item_jobs(spec: Spec, place: Path) -> list[dict[str, Any]]:
-    """The jobs of an item, keys as in `blender_scenes.job`; their output goes to the folder `place`."""
-    (job,) = jobs_of(spec, place, whole=True)
-    lights = job["lights"]
-    W, H = spec.resolution
-    share = max(1, SAMPLES_PER_JOB // (W * H * spec.supersampling**2))
-    return [
-        {**job, "id": f"{k + 1:03d}", "out": str(place / f"{k + 1:03d}.npz"), "lights": lights[k : k + share]}
-        for k in range(0, len(lights), share)
-    ]
 
 
 def finish_item(
