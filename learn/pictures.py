@@ -31,6 +31,7 @@ OPTIONS: Mapping[str, Any] = {
     "crop": 0,
     "flip": True,
     "zoom": 1.0,
+    "stretch": False,
     "recolour": False,
     "device_cache_gb": 4.0,
 }
@@ -85,7 +86,8 @@ class Pictures:
     validation_share of the training items is held out, chosen by their ids alone. crop: side of the square that is cut out so that it
     shows the object, all of it where it fits; 0 takes whole pictures. flip: random mirrorings and quarter turns (half turns where
     pictures are not square). zoom: whole pictures are enlarged by up to that factor, drawn evenly in its logarithm, about a place on the
-    object. recolour: the channels are put in a random order, the same for all layers: hues that no picture has, of the same physics.
+    object. stretch: rows and columns by a factor each, so that objects come slimmer and stouter than they were rendered. recolour: the
+    channels are put in a random order, the same for all layers: hues that no picture has, of the same physics.
     Validation pictures are cropped about the object's middle, and neither turned, enlarged nor recoloured. device_cache_gb: a pack whose
     layers are no larger is copied to a device other than the CPU once; otherwise its pixels come from the mapped file.
 
@@ -104,6 +106,7 @@ class Pictures:
         self.crop: int = options["crop"]
         self.flip: bool = options["flip"] and self.training
         self.zoom: float = options["zoom"] if self.training else 1.0
+        self.stretch: bool = options["stretch"]
         self.recolour: bool = options["recolour"] and self.training
         self.items = _items(pack, options, self.training)
         self.frames = np.array([frame for item in self.items for frame in range(*pack.items[item]["frames"])])
@@ -142,8 +145,9 @@ class Pictures:
             rows, columns = _around(mask, (self.crop, self.crop), rng if self.training else None)
         size = rows.stop - rows.start, columns.stop - columns.start
         if self.zoom > 1:
-            factor = self.zoom ** rng.random()
-            rows, columns = _around(mask, (round(size[0] / factor), round(size[1] / factor)), rng)
+            down = self.zoom ** rng.random()
+            across = self.zoom ** rng.random() if self.stretch else down
+            rows, columns = _around(mask, (round(size[0] / down), round(size[1] / across)), rng)
         if not self.flip:
             return Window(rows, columns, size, 0, False)
         turns = int(rng.integers(4))
@@ -273,7 +277,7 @@ def _over(layer: Tensor, divisor: Tensor) -> Tensor:
 
 def _resampled(part: Any, size: tuple[int, int]) -> Any:
     """Part of a layer (h, w[, 3]), resampled to a size: linearly, a mask by its nearest pixel."""
-    given = part if isinstance(part, Tensor) else torch.from_numpy(np.ascontiguousarray(part))
+    given = part if isinstance(part, Tensor) else torch.from_numpy(np.array(part))
     wide = given.float()[None, None] if given.ndim == 2 else given.float().permute(2, 0, 1)[None]
     mode = {"mode": "nearest-exact"} if given.dtype == torch.bool else {"mode": "bilinear", "align_corners": False}
     enlarged = torch.nn.functional.interpolate(wide, size=size, **mode)

@@ -178,7 +178,12 @@ def test_whole_pictures_are_enlarged_about_the_object(pack: Path) -> None:
     assert areas.min() > 5
     assert areas.max() < 65
     assert torch.equal(batch.mask, source(pack, batch=64, zoom=1.6, flip=False).batch(0).mask)
-    held = source(pack, batch=2, split="validation", validation_share=0.3, zoom=1.6).batch(0)
+    _, row, column = source(pack, batch=64, zoom=1.6, stretch=True, flip=False).batch(0).diffuse.unbind(1)
+    slim = (row[:, 13] - row[:, 8])[:, 0] / (column[:, :, 13] - column[:, :, 8])[:, 0]
+    assert slim.min() < 0.75
+    assert slim.max() > 1.3
+    assert slim.max() < 1.8
+    held = source(pack, batch=2, split="validation", validation_share=0.3, zoom=1.6, stretch=True).batch(0)
     assert torch.equal(held.diffuse, source(pack, batch=2, split="validation", validation_share=0.3).batch(0).diffuse)
 
 
