@@ -31,8 +31,8 @@ OPTIONS: Mapping[str, Any] = {
     "crop": 0,
     "flip": True,
     "zoom": 1.0,
-    "stretch": False,
     "recolour": False,
+    "gain": 1.0,
     "device_cache_gb": 4.0,
 }
 """The `data` table and its defaults; see `Pictures`."""
@@ -43,8 +43,8 @@ LIME_LAYERS = ("albedo", "specular_albedo", "gloss", "mirror")
 UNIFORM = 0.01
 """By how much reflectance or alpha may differ over an object that counts as one material; half precision alone is .001."""
 
-ORDER, PLACE, COLOUR = 0, 1, 2
-"""What a random stream is for: the order of an epoch, the crops and turns of a batch, its colours."""
+ORDER, PLACE, COLOUR, GAIN = 0, 1, 2, 3
+"""What a random stream is for: the order of an epoch, the crops and turns of a batch, its colours, its exposure."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ class Pictures:
     validation_share of the training items is held out, chosen by their ids alone. crop: side of the square that is cut out so that it
     shows the object, all of it where it fits; 0 takes whole pictures. flip: random mirrorings and quarter turns (half turns where
     pictures are not square). zoom: whole pictures are enlarged by up to that factor, drawn evenly in its logarithm, about a place on the
-    object. stretch: rows and columns by a factor each, so that objects come slimmer and stouter than they were rendered. recolour: the
-    channels are put in a random order, the same for all layers: hues that no picture has, of the same physics.
-    Validation pictures are cropped about the object's middle, and neither turned, enlarged nor recoloured. device_cache_gb: a pack whose
+    object. recolour: the channels are put in a random order, the same for all layers: hues that no picture has, of the same physics.
+    gain: all layers of a picture are multiplied by a factor from 1 / gain to gain, drawn evenly in its logarithm: bright is then not
+    glossy. Validation pictures are cropped about the object's middle, and left as they are. device_cache_gb: a pack whose
     layers are no larger is copied to a device other than the CPU once; otherwise its pixels come from the mapped file.
 
     split: "train" or "validation". factors: whether LIME's are wanted.
@@ -106,7 +106,7 @@ class Pictures:
         self.crop: int = options["crop"]
         self.flip: bool = options["flip"] and self.training
         self.zoom: float = options["zoom"] if self.training else 1.0
-        self.stretch: bool = options["stretch"]
+        self.gain: float = options["gain"] if self.training else 1.0
         self.recolour: bool = options["recolour"] and self.training
         self.items = _items(pack, options, self.training)
         self.frames = np.array([frame for item in self.items for frame in range(*pack.items[item]["frames"])])
@@ -126,6 +126,10 @@ class Pictures:
         if colours is not None:
             wide = colours[:, :, None, None]
             layers = {name: layer.gather(1, wide.expand(-1, -1, *layer.shape[2:])) for name, layer in layers.items()}
+        if self.gain > 1:
+            drawn = np.random.default_rng([self.seed, GAIN, step]).uniform(-1, 1, (self.pictures, 1, 1, 1))
+            factor = torch.from_numpy((self.gain**drawn).astype(np.float32)).to(self.device)
+            layers = {name: layer * factor for name, layer in layers.items()}
         mask = self._cut(self.mask, self.item_of[frames], windows)[:, None].bool()
         image = layers["combined"] if "combined" in layers else layers["diffuse"] + layers["specular"]
         plain = PictureBatch(image, layers["diffuse"], layers["specular"], mask)
@@ -145,9 +149,8 @@ class Pictures:
             rows, columns = _around(mask, (self.crop, self.crop), rng if self.training else None)
         size = rows.stop - rows.start, columns.stop - columns.start
         if self.zoom > 1:
-            down = self.zoom ** rng.random()
-            across = self.zoom ** rng.random() if self.stretch else down
-            rows, columns = _around(mask, (round(size[0] / down), round(size[1] / across)), rng)
+            factor = self.zoom ** rng.random()
+            rows, columns = _around(mask, (round(size[0] / factor), round(size[1] / factor)), rng)
         if not self.flip:
             return Window(rows, columns, size, 0, False)
         turns = int(rng.integers(4))
@@ -213,6 +216,8 @@ def _open(options: Mapping[str, Any]) -> Pack:
         raise InputError(f"data: validation_share = {options['validation_share']} must be from 0 to less than 1")
     if not 1 <= options["zoom"] <= 4 or (options["crop"] and options["zoom"] > 1):
         raise InputError(f"data: zoom = {options['zoom']} must be from 1 to 4, and 1 where pictures are cropped")
+    if not 1 <= options["gain"] <= 16:
+        raise InputError(f"data: gain = {options['gain']} must be from 1 to 16")
     if options["device_cache_gb"] < 0:
         raise InputError(f"data: device_cache_gb = {options['device_cache_gb']} must not be negative")
     pack = read_pack(Path(options["pack"]))
