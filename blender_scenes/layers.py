@@ -46,8 +46,8 @@ def radiance(
 def written(
     strip: Mapping[str, Floats], material: Material, i: int, intensity: Any, wanted: Collection[str], n: int
 ) -> dict[str, NDArray[np.float64]]:
-    """The wanted ones of combined, diffuse, specular, matte (H, W, 3) and lit (H, W), means over blocks of n x n sub-samples, of the light
-    that was the i-th of `OneLight.put`'s further ones. intensity: (3,)."""
+    """The wanted ones of combined, diffuse, specular, matte (H, W, 3) and lit (H, W), means over blocks of n x n sub-samples, of the
+    i-th light that `OneLight.put` was given. intensity: (3,)."""
     found = {
         name: block_mean(strip[f"{name}_{i}"], n)[..., :3] * _scale(strip, name, material, intensity) for name in _lobes(strip)
     }
@@ -66,7 +66,8 @@ def written(
 
 
 def differing(own: Mapping[str, Floats], strip: Mapping[str, Floats], material: Material, intensity: Any) -> int:
-    """How many sub-samples of the first light show else than Cycles' own lobes, by more than `AGREES` of the strip's peak."""
+    """How many sub-samples under the first light, the one that was rendered, show else than Cycles' own lobes (H, W, 3), by more than
+    `AGREES` of the strip's peak."""
     peak = max(float(values.max()) for values in own.values())
     differ = np.zeros(own["specular"].shape[:2], np.bool_)
     for name in _lobes(strip):

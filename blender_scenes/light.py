@@ -102,9 +102,7 @@ def parse_light(entries: Entries) -> Light:
 
 def aim_at(light: Sun | Point) -> Aim:
     """Where a light is, for a graph that holds for one light."""
-    if isinstance(light, Sun):
-        return light.direction, None
-    return light.position / np.linalg.norm(light.position), light.position
+    return (light.direction, False) if isinstance(light, Sun) else (light.position, True)
 
 
 def tell(placed: Placed, light: Light) -> None:

@@ -179,7 +179,7 @@ class _Studio:
             seen = int((passes["Combined"][..., 3] > 0.5).sum())
             if differing > max(STRAY * seen, STRAYS):
                 raise RuntimeError(
-                    f"{differing} of {seen} sub-samples show else under one light than among others; render without 'together'"
+                    f"the object counts as convex, but {differing} of its {seen} sub-samples show else than Cycles' own lobes and shadows"
                 )
             off, peak = largest
             errors[chunk[0][0]] = off / peak if peak > 0 else float(off > 0)

@@ -1,9 +1,9 @@
 """How fast captures are made: `python -m gen.bench [PRESET] [--json]` (part of `make bench`).
 
 Side by side in one run, pictures a second of (i) a bare Cycles loop over the same shots, crop, samples and threads, with the result thrown
-away; (ii) what `degloss gen render` does, with 1 worker and with one a core: the same shots fetched, averaged, checked, exposed, written
-as layered EXR and hashed; (iii) BlenderProc, where a Python that has it is named: ten renders a stack, since it has no gloss-free twin.
-Starting Blender is left out everywhere, and said apart.
+away; (ii) what `degloss gen render` does, with 1 worker and with one a core: the same shots, several lights of a convex object by one
+render, fetched, averaged, checked, exposed, written as layered EXR and hashed; (iii) BlenderProc, where a Python that has it is named: ten
+renders a stack, since it has no gloss-free twin. Starting Blender is left out everywhere, and said apart.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
 Vector = tuple[float, float, float]
-Aim = tuple[Numbers, Numbers | None]
-"""Where a light is: the unit direction (3,) to it from the origin and, of a light that is near, its position (3,) in mm."""
+Aim = tuple[Numbers, bool]
+"""Where a light is: the unit direction (3,) to a sun and False, or the position (3,) in mm of a light that is near and True."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Placed:
 
     item: the Blender material. aim: tells the graph its one light; None where the graph needs no light. gain: closure weights are
     multiplied by it, so the light's strength must be divided by it. passes: the shader outputs that the graph writes, name and channels:
-    "albedo" and "gloss" where they vary over the surface, and those of `one_light` for further lights.
+    "albedo" and "gloss" where they vary over the surface, and what `one_light` writes of each light.
     """
 
     item: Any

@@ -7,9 +7,8 @@ the colours of two plain closures, so that shadows, attached and cast, are Cycle
 - Glossy: Cycles' GGX of alpha 1 is worth pi D_1 G_1 / (4 mi mo), where D_1 = 1/pi whatever the direction and, by Smith's height-correlated
   masking at alpha 1, G_1 = 2 mi mo / (mi + mo). That is 1 / (2 (mi + mo)), so the colour is 2 s (mi + mo).
 
-The same d mi and s mi, and what is left of the light at each point, can be written as they stand, for as many further lights as are
-named, by the render that shows the first one. Shadows are then the attached ones alone, which is all that a convex object has
-(`blender_scenes.shot`).
+The same d mi and s mi, and what is left of the light at each point, can be written as they stand, for as many lights as are named, by a
+render that shows one. Shadows are then the attached ones alone, which is all that a convex object has (`blender_scenes.shot`).
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class OneLight(Material):
 
     @property
     def coloured(self) -> bool:
-        """Whether a further light is written in three channels and not in one."""
+        """Whether a light is written in three channels and not in one."""
         textured = isinstance(self.specular, Texture) or isinstance(self.albedo, Texture)
         return textured or len(set(self.specular)) > 1
 
@@ -59,8 +58,8 @@ class OneLight(Material):
         of is."""
         raise NotImplementedError
 
-    def put(self, stand: Stand, further: Sequence[Aim] = ()) -> Placed:
-        """The material as a Blender material. further: lights whose parts are written as shader outputs, for each i
+    def put(self, stand: Stand, lights: Sequence[Aim] = ()) -> Placed:
+        """The material as a Blender material. lights: those whose parts are written as shader outputs, for each i
 
         diffuse_i, specular_i: radiance under unit intensity, without cast shadows, one number where all channels are the same; the diffuse
         one divided by the albedo where that is the same everywhere. received_i: irradiance / pi, n.l of a sun.
@@ -70,7 +69,7 @@ class OneLight(Material):
         first = graph.group(self._tree(stand, inputs), inputs)
         values = {"albedo": inputs.get("albedo", inputs["shine"]), "gloss": inputs["gloss"]}
         plain = inputs | _without_colour(inputs)
-        for i, aim in enumerate(further):
+        for i, aim in enumerate(lights):
             node = graph.group(self._tree(stand, plain), plain)
             _point(node, aim)
             values |= {f"{name}_{i}": node.outputs[name] for name in ("diffuse", "specular", "received") if name in node.outputs}
@@ -118,7 +117,7 @@ def _without_colour(inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 def _point(node: Any, aim: Aim) -> None:
     """Tell a group of `OneLight` its light."""
-    direction, position = aim
-    node.inputs["light"].default_value = tuple(float(v) for v in (direction if position is None else position))
-    node.inputs["near"].default_value = 0.0 if position is None else 1.0
-    node.inputs["distance2"].default_value = 1.0 if position is None else float(position @ position)
+    where, near = aim
+    node.inputs["light"].default_value = tuple(float(v) for v in where)
+    node.inputs["near"].default_value = float(near)
+    node.inputs["distance2"].default_value = float(where @ where) if near else 1.0

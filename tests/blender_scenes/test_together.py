@@ -125,7 +125,7 @@ scene = empty_scene(2)
 try:
     shoot(scene, json.loads(sys.argv[1]))
 except RuntimeError as error:
-    assert "show else under one light" in str(error)
+    assert "counts as convex" in str(error)
 else:
     raise SystemExit("not found out")
 """
