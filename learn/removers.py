@@ -34,6 +34,9 @@ pictures are trained on (the preset paper-train)."""
 LIT = 0.02
 """Share of a picture's brightest above which a pixel counts as the object where no mask is given."""
 
+BLACK = 0.002
+"""Share of the object's usual brightness below which a pixel of the mean picture shows the group network nothing."""
+
 SMALLEST = 8
 """Pixels of the smallest side that a network takes."""
 
@@ -187,9 +190,11 @@ def _layers(loaded: Loaded, shown: Shown, where: str, there: Bools | None = None
     matte = confidence = None
     if loaded.method == "group":
         matte, confidence = large.empty(images.shape, np.float32), large.zeros(images.shape[:3], np.float32)
+        inside = np.ones(images.shape[1:3], bool) if shown.mask is None else shown.mask
         for k in range(len(images)):
             matte[k] = shown.reflectance(slice(k, k + 1), slice(None), slice(None))[0] * intensity[k]
-            large.release(images, matte)
+            confidence[k] = inside if there is None else inside & there[k]
+            large.release(images, matte, confidence)
     for at, gloss, twin, trust in _group(loaded, shown) if loaded.method == "group" else _singles(loaded, shown):
         gloss = gloss * intensity[at[0]]
         if there is not None:
@@ -267,8 +272,37 @@ def _single(loaded: Loaded, picture: Floats, mask: Bools | None) -> Floats:
     return np.clip(np.nan_to_num(result, nan=0.0), 0, picture)
 
 
+def lit(shown: Shown, mask: Bools) -> Bools:
+    """The pixels of the mask (H, W) that some light reaches: those whose mean picture is more than noise.
+
+    A mask that is larger than the object, or none, would show the network a black background, which it takes for a part of the object.
+    Noise is what the darkest quarter of the mask varies by from pixel to pixel. Where nothing is lit, the mask.
+    """
+    import cv2
+
+    mean, rough = (np.zeros(mask.shape, np.float32) for _ in range(2))
+    whole, luma = slice(None), LUMA.astype(np.float32)
+    for rows in large.strips((3 * len(shown.images), *mask.shape)):
+        samples = np.nan_to_num(shown.reflectance(whole, rows, whole) @ luma, nan=0.0, posinf=0.0)
+        mean[rows] = samples.mean(axis=0)
+        rough[rows, 1:-1] = np.abs(samples[:, :, 1:-1] - (samples[:, :, :-2] + samples[:, :, 2:]) / 2).mean(axis=0)
+        large.release(shown.images)
+    inside = mean[mask]
+    if not inside.any():
+        return mask
+    # Of a normal variable the mean distance from 0 is .8 deviations, and such a difference has the root of 1.5 of them.
+    noise = float(rough[mask & (mean <= np.percentile(inside, 25))].mean()) / (0.8 * 1.5**0.5)
+    # A mean of roots that is weighted by itself: neither highlights nor black pixels, however many, count much.
+    roots = np.sqrt(inside, dtype=np.float64)
+    usual = float((inside.sum(dtype=np.float64) / roots.sum()) ** 2)
+    # Around it half of the pixels, or it by far: noise alone is not so bright twice.
+    around = np.maximum(cv2.medianBlur(mean, 5), mean / 3)
+    kept = mask & (around > max(BLACK * usual, 2 * noise))
+    return kept if kept.any() else mask
+
+
 def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
-    """The layers of all pictures together, part by part. Only the object's box is looked at; outside it all is diffuse and matte."""
+    """The layers of all pictures together, part by part. Only the box of what is `lit` is looked at; all else is diffuse and matte."""
     import torch
 
     from learn.group_tiles import Given, layers_in_tiles
@@ -276,7 +310,8 @@ def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
 
     device = next(loaded.model.parameters()).device
     K, H, W, _ = shown.images.shape
-    mask = np.ones((H, W), bool) if shown.mask is None else shown.mask
+    given_mask = np.ones((H, W), bool) if shown.mask is None else shown.mask
+    mask = lit(shown, given_mask)
     toward = None if shown.lights is None else torch.from_numpy(np.asarray(shown.lights, np.float32))[None].to(device)
     top, left, bottom, right = _box(mask)
     every = slice(None)
@@ -308,7 +343,8 @@ def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
             gloss = np.clip(np.nan_to_num(gloss, nan=0.0), 0, picture)
             matte = np.where(outside[..., None], picture, np.maximum(np.nan_to_num(matte, nan=0.0), 0))
             trust = np.clip(np.nan_to_num(layers.confidence[0].float().cpu().numpy(), nan=0.0), 0, 1)
-            gloss[:, outside], trust[:, outside] = 0, 0
+            gloss[:, outside] = 0
+            trust[:, outside] = given_mask[at[1:]][outside]
             yield at, gloss, matte, trust
 
 

@@ -28,6 +28,10 @@ COLOUR_ALONE = 8
 LIT = 0.1
 """Share of the pixel's brightness below which a sample's colour says nothing."""
 
+GREY = (0.05, 0.1)
+"""Saturation (1 - smallest / largest channel) of a pixel's middle lit sample up to which its colour is that of lamps, noise and rounding,
+and from which it is the surface's own."""
+
 FLAT = 0.1
 """Triplets that span less than this share of the best one's volume predict nothing that can be relied on, and are left out."""
 
@@ -69,9 +73,9 @@ def evidence(images: Tensor, lights: Tensor | None, valid: Tensor, mask: Tensor,
     scale = torch.minimum(dim.square(), torch.maximum(3 * middle, level)) + 0.01 * level + 1e-6
     y = (luma / scale).clamp(max=CUT)
     shown = valid.to(images.dtype)
+    images = without_cast(images, y)
     colour = (images / scale.unsqueeze(2)).clamp(0, CUT)
-    top = images.amax(2).clamp(min=1e-6)
-    saturation = (1 - images.amin(2).clamp(min=0) / top) * inside
+    saturation = saturations(images) * inside
     most = (saturation * (y > LIT)).amax(1, keepdim=True)
     parts = [
         colour.sqrt().flatten(0, 1),
@@ -119,8 +123,27 @@ def _geometry(y: Tensor, lights: Tensor, shown: Tensor) -> Tensor:
     return torch.cat([direction, n[:, None].expand(b, k, 3, h, w), maps, known], 2)
 
 
+def saturations(images: Tensor) -> Tensor:
+    """1 - smallest / largest channel of each sample, (B, K, H, W) from 0 to 1, of images (B, K, 3, H, W); 1 where it is black."""
+    return 1 - images.amin(2).clamp(min=0) / images.amax(2).clamp(min=1e-6)
+
+
+def without_cast(images: Tensor, y: Tensor) -> Tensor:
+    """The images with the pixels that are nearly grey made grey, by `GREY`; luma stays.
+
+    White gloss cannot be told from a grey surface by colour, but lamps that differ by a percent or two would seem to tell it.
+    images: (B, K, 3, H, W). y: (B, K, H, W), luma over the pixel's brightness.
+    """
+    lit = y > LIT
+    ordered = torch.where(lit, saturations(images), 1.0).sort(1).values  # those in shadow come last
+    middle = ordered.gather(1, (lit.sum(1, keepdim=True) - 1).clamp(min=0) // 2)
+    own = ((middle - GREY[0]) / (GREY[1] - GREY[0])).clamp(0, 1).unsqueeze(2)
+    grey = luminance(images).unsqueeze(2)
+    return torch.where(own < 1, grey + own * (images - grey), images)
+
+
 def diffuse_by_colour(images: Tensor, y: Tensor) -> Tensor:
-    """What a white gloss leaves of each sample by its colour alone, in the units of y and at most y; 0 where the pixel is grey.
+    """What a white gloss leaves of each sample by its colour alone, in the units of y and at most y; all of it where the pixel is grey.
 
     images: (B, K, 3, H, W). y: (B, K, H, W) luma in any unit. Gloss adds the same to all channels, so the difference of the largest and
     the smallest is diffuse; the lit sample with the least luma for its difference is taken as free of gloss.
@@ -129,7 +152,7 @@ def diffuse_by_colour(images: Tensor, y: Tensor) -> Tensor:
     shown = images.clamp(min=0)
     chroma = shown.amax(2) - shown.amin(2)
     ratio = torch.where((y > LIT) & (chroma > 0), y / chroma.clamp(min=1e-9), torch.inf).amin(1, keepdim=True)
-    return torch.minimum(torch.where(ratio.isfinite(), chroma * ratio, 0.0), y)
+    return torch.minimum(torch.where(ratio.isfinite(), chroma * ratio, y), y)
 
 
 def luminance(images: Tensor) -> Tensor:
