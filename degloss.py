@@ -99,6 +99,8 @@ def main() -> None:
             print(f"degloss: {how or 'stopped; nothing was left half-written, run the same command again'}", file=sys.stderr)
             sys.exit(130)
         sys.exit(_verdict(error))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)  # an alarm still to come would kill Python while it ends
 
 
 def _stranger() -> str | None:

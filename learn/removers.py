@@ -34,8 +34,9 @@ pictures are trained on (the preset paper-train)."""
 LIT = 0.02
 """Share of a picture's brightest above which a pixel counts as the object where no mask is given."""
 
-BLACK = 0.002
-"""Share of the object's usual brightness below which a pixel of the mean picture shows the group network nothing."""
+BLACK = (0.002, 0.04)
+"""Share of the object's usual brightness below which a pixel of the mean picture shows the group network nothing: at least the first, and
+with noise up to the second, no further, since the sparkle of dark metal passes for noise."""
 
 SMALLEST = 8
 """Pixels of the smallest side that a network takes."""
@@ -169,6 +170,11 @@ class Shown:
     valid: Bools | None
     lights: NDArray[np.float64] | None
 
+    @property
+    def inside(self) -> Bools:
+        """The mask (H, W), or the whole frame."""
+        return np.ones(self.images.shape[1:3], bool) if self.mask is None else self.mask
+
     def reflectance(self, of: slice, rows: slice, columns: slice) -> Floats:
         """(K, h, w, 3) radiance over light intensity of some pictures and a part of them, not negative."""
         part = self.images[of, rows, columns] / self.intensities[of, None, None, :]
@@ -190,7 +196,7 @@ def _layers(loaded: Loaded, shown: Shown, where: str, there: Bools | None = None
     matte = confidence = None
     if loaded.method == "group":
         matte, confidence = large.empty(images.shape, np.float32), large.zeros(images.shape[:3], np.float32)
-        inside = np.ones(images.shape[1:3], bool) if shown.mask is None else shown.mask
+        inside = shown.inside
         for k in range(len(images)):
             matte[k] = shown.reflectance(slice(k, k + 1), slice(None), slice(None))[0] * intensity[k]
             confidence[k] = inside if there is None else inside & there[k]
@@ -272,14 +278,15 @@ def _single(loaded: Loaded, picture: Floats, mask: Bools | None) -> Floats:
     return np.clip(np.nan_to_num(result, nan=0.0), 0, picture)
 
 
-def lit(shown: Shown, mask: Bools) -> Bools:
-    """The pixels of the mask (H, W) that some light reaches: those whose mean picture is more than noise.
+def lit_pixels(shown: Shown) -> Bools:
+    """The pixels of the mask that some light reaches, (H, W): those whose mean picture is more than noise, and than `BLACK`. Ours.
 
     A mask that is larger than the object, or none, would show the network a black background, which it takes for a part of the object.
-    Noise is what the darkest quarter of the mask varies by from pixel to pixel. Where nothing is lit, the mask.
+    Noise is what the darkest quarter of the mask varies by from pixel to pixel. Where nothing is lit, the whole mask.
     """
     import cv2
 
+    mask = shown.inside
     mean, rough = (np.zeros(mask.shape, np.float32) for _ in range(2))
     whole, luma = slice(None), LUMA.astype(np.float32)
     for rows in large.strips((3 * len(shown.images), *mask.shape)):
@@ -297,21 +304,21 @@ def lit(shown: Shown, mask: Bools) -> Bools:
     usual = float((inside.sum(dtype=np.float64) / roots.sum()) ** 2)
     # Around it half of the pixels, or it by far: noise alone is not so bright twice.
     around = np.maximum(cv2.medianBlur(mean, 5), mean / 3)
-    kept = mask & (around > max(BLACK * usual, 2 * noise))
+    kept = mask & (around > np.clip(2 * noise, BLACK[0] * usual, BLACK[1] * usual))
     return kept if kept.any() else mask
 
 
 def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
-    """The layers of all pictures together, part by part. Only the box of what is `lit` is looked at; all else is diffuse and matte."""
+    """The layers of all pictures together, part by part. Only the box of the `lit_pixels` is looked at; all else is diffuse and matte."""
     import torch
 
     from learn.group_tiles import Given, layers_in_tiles
     from learn.models.group import shrink_of
 
     device = next(loaded.model.parameters()).device
-    K, H, W, _ = shown.images.shape
-    given_mask = np.ones((H, W), bool) if shown.mask is None else shown.mask
-    mask = lit(shown, given_mask)
+    K = len(shown.images)
+    object_mask = shown.inside
+    mask = lit_pixels(shown)
     toward = None if shown.lights is None else torch.from_numpy(np.asarray(shown.lights, np.float32))[None].to(device)
     top, left, bottom, right = _box(mask)
     every = slice(None)
@@ -344,7 +351,7 @@ def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
             matte = np.where(outside[..., None], picture, np.maximum(np.nan_to_num(matte, nan=0.0), 0))
             trust = np.clip(np.nan_to_num(layers.confidence[0].float().cpu().numpy(), nan=0.0), 0, 1)
             gloss[:, outside] = 0
-            trust[:, outside] = given_mask[at[1:]][outside]
+            trust[:, outside] = object_mask[at[1:]][outside]  # what is not lit counts alike
             yield at, gloss, matte, trust
 
 

@@ -169,6 +169,18 @@ def test_read_only_folder(folder: Path, tmp_path: Path) -> None:
     refused(degloss("recon", "run", folder, "-o", tmp_path / "out"), "cannot be written")
 
 
+@pytest.mark.parametrize("after", [0.12, 0.15, 0.18, 0.21, 0.24, 0.27, 0.3, 0.33])
+def test_a_signal_while_it_starts_ends_it_with_a_code_of_its_own(tmp_path: Path, after: float) -> None:
+    """Not with the alarm by which an interrupt comes again: what fails, or is done, in that moment ends as ever."""
+    command = [sys.executable, "-m", "degloss", "recon", "run", str(tmp_path / "none"), "-o", str(tmp_path / "out")]
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as run:
+            time.sleep(after)
+            run.send_signal(number)
+            _, errors = run.communicate(timeout=20)
+        assert run.returncode in (2, 130, -number), errors
+
+
 @pytest.mark.alone
 @pytest.mark.parametrize("after", [0.05, 0.3, 0.6, 1.2])
 def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_path: Path, after: float) -> None:

@@ -129,7 +129,7 @@ def saturations(images: Tensor) -> Tensor:
 
 
 def without_cast(images: Tensor, y: Tensor) -> Tensor:
-    """The images with the pixels that are nearly grey made grey, by `GREY`; luma stays.
+    """The images (B, K, 3, H, W) with the pixels that are nearly grey made grey, by `GREY`; luma stays. Ours.
 
     White gloss cannot be told from a grey surface by colour, but lamps that differ by a percent or two would seem to tell it.
     images: (B, K, 3, H, W). y: (B, K, H, W), luma over the pixel's brightness.
