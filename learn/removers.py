@@ -88,8 +88,8 @@ def group(capture: Capture) -> Layers:
 
     Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone. The lights' directions are used
     unless a picture was taken under light that has none. From three pictures on colour says what colour matte and gloss have
-    (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, the pictures stay
-    (`learn.integrability`). Confidence is 0 outside the mask and where a sample is missing.
+    (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, or nearly the same, the pictures
+    stay (`learn.normals_check`). Confidence is 0 outside the mask and where a sample is missing.
     Errors as for `lime`.
     Source: ours; the exchange over the pictures by their maximum is that of G. Chen, K. Han and K.-Y. Wong, "PS-FCN" (ECCV 2018).
     """
@@ -151,13 +151,13 @@ def separate(
 
 
 def _look_again(capture: Capture, layers: Layers) -> Layers:
-    """The group network's layers after what colour and curl say of them, where the lights are known and enough."""
-    from learn import integrability, neutral_gloss
+    """The group network's layers after what colour and the normals say of them, where the lights are known and enough."""
+    from learn import neutral_gloss, normals_check
 
     if capture.count < FEWEST_FOR_GROUP:
         return layers
     neutral_gloss.colour(capture, layers)
-    return integrability.check(capture, layers)
+    return normals_check.check(capture, layers)
 
 
 @dataclass(frozen=True, eq=False)

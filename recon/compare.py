@@ -173,20 +173,26 @@ def deviation(shape: Shape, reference: Shape, span: tuple[float, float]) -> dict
     }
 
 
-NOTEWORTHY_DOUBT = 0.02
-"""Share of the object whose gloss removal is doubted from which it is said."""
+NOTEWORTHY_DOUBT, NOTEWORTHY_KEPT = 0.02, 0.5
+"""Shares of the object from which it is said that gloss removal is doubted, and that it would change little."""
 
 
-def disbelief(shape: Shape) -> list[str]:
-    """A sentence where the gloss remover was not believed on a good part of the object."""
-    doubt = shape.layers.doubt
-    share = 0.0 if doubt is None else float(doubt[shape.capture.mask].mean())
-    if share < NOTEWORTHY_DOUBT:
-        return []
-    return [
-        f"On {100 * share:.0f} % of the object the pictures were measured as they are: gloss removal by {shape.settings.gloss} "
-        "led to normals there that no surface has, as on metals that mirror."
-    ]
+def pictures_kept(shape: Shape) -> list[str]:
+    """Sentences on where the pictures were measured as they are, though gloss was removed."""
+    layers, mask, method = shape.layers, shape.capture.mask, shape.settings.gloss
+    doubted, kept = (0.0 if part is None else float(part[mask].mean()) for part in (layers.doubt, layers.kept))
+    said = []
+    if doubted >= NOTEWORTHY_DOUBT:
+        said.append(
+            f"On {100 * doubted:.0f} % of the object the pictures were measured as they are: gloss removal by {method} led to normals "
+            "there that no surface has, as on metals that mirror."
+        )
+    if kept - doubted >= NOTEWORTHY_KEPT:
+        said.append(
+            f"On {100 * (kept - doubted):.0f} % of the object the pictures were measured as they are: it looks matte there, and gloss "
+            f"removal by {method} would hardly turn the normals."
+        )
+    return said
 
 
 def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[str, Any]:
@@ -209,7 +215,7 @@ def shape_metrics(shape: Shape, comparison: Comparison | None = None) -> dict[st
         "height": {"unit": shape.height.unit, "low": float(known.min()), "high": float(known.max())},
         "uncertainty degrees": {"median": float(np.median(uncertainty))} if uncertainty.size else None,
         "seconds": dict(shape.seconds),
-        "notes": [*doubts(capture), *disbelief(shape)],
+        "notes": [*doubts(capture), *pictures_kept(shape)],
         "provenance": dict(capture.provenance),
     }
     if shape.near is not None:

@@ -30,7 +30,8 @@ class Layers:
 
     diffuse, specular: the two parts of the glossy surface; their sum is the input wherever it was valid.
     matte: the gloss-free twin (Lambertian), where the method predicts it. confidence: (K, H, W) in [0, 1], where it gives one.
-    doubt: (H, W) in [0, 1], how far the method was not believed at a pixel, and matte is the picture as it was, where it says so.
+    doubt: (H, W) in [0, 1], how far the method was not believed at a pixel, where it says so. kept: (H, W) in [0, 1], how far matte is the
+    picture as it was, for that reason or because nothing much would change.
     """
 
     diffuse: Floats
@@ -38,6 +39,7 @@ class Layers:
     matte: Floats | None = None
     confidence: Floats | None = None
     doubt: Floats | None = None
+    kept: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,7 +103,26 @@ def test_where_removal_was_doubted_a_pixel_is_as_uncertain_as_without_it(synthet
     assert "chromaticity" in note
     calm = reconstruct(capture, replace(layers, doubt=0 * doubt), Settings(gloss="chromaticity", repair="none"))
     np.testing.assert_allclose(calm.normals.uncertainty, a, rtol=1e-4)
-    assert not any("no surface has" in note for note in shape_metrics(calm)["notes"])
+    assert not any("measured as they are" in note for note in shape_metrics(calm)["notes"])
+
+
+def test_where_the_pictures_were_kept_for_little_would_change_it_is_said(synthetic: Synthetic) -> None:
+    capture = synthetic("sphere", 32, layer="matte")
+    layers = GLOSS.load("chromaticity")(capture)
+    kept = np.zeros(capture.mask.shape, np.float32)
+    kept[:, 8:] = 1
+    doubt = np.zeros_like(kept)
+    doubt[:, 30:] = 1
+    for parts, says in (((doubt, kept), True), ((doubt, doubt), False), ((kept, kept), False), ((None, kept[::-1, ::-1]), True)):
+        shape = reconstruct(
+            capture, replace(layers, doubt=parts[0], kept=parts[1]), Settings(gloss="chromaticity", repair="none")
+        )
+        notes = [note for note in shape_metrics(shape)["notes"] if "looks matte there" in note]
+        assert len(notes) == says
+        if says:
+            share = parts[1][capture.mask].mean() - (0 if parts[0] is None else parts[0][capture.mask].mean())
+            assert notes[0].startswith(f"On {100 * share:.0f} % of the object")
+            assert "chromaticity" in notes[0]
 
 
 def test_the_command_writes_tables(
