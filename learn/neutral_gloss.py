@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gen import large
-from gen.capture import LUMA, Capture
+from gen.capture import LUMA, Capture, Floats
 from recon.gloss.chromaticity import chromaticity
 from recon.registry import Layers
 
@@ -29,8 +29,7 @@ def colour(capture: Capture, layers: Layers) -> None:
         colour_gloss = by_colour.specular[:, rows] / intensity
         both = [(gloss @ luma).sum(axis=0) for gloss in (colour_gloss, specular)]
         agreed = np.clip(both[0] / np.maximum(both[1], 1e-6), 0, 1)[..., None]
-        neutral = np.minimum(specular @ luma, np.maximum(images.min(axis=3), 0))[..., None]
-        gloss = agreed * (neutral + colour_gloss) / 2 + (1 - agreed) * specular
+        gloss = agreed * (_neutral(images, specular) + colour_gloss) / 2 + (1 - agreed) * specular
         surface = np.maximum(by_colour.diffuse[:, rows] / intensity, 0).sum(axis=0)
         bright = (surface @ luma)[..., None]
         tint = np.where(bright > 0, surface / np.where(bright > 0, bright, 1), 1)
@@ -39,3 +38,21 @@ def colour(capture: Capture, layers: Layers) -> None:
         layers.specular[:, rows] = np.clip(gloss * intensity, 0, np.maximum(capture.images[:, rows], 0))
         np.subtract(capture.images[:, rows], layers.specular[:, rows], out=layers.diffuse[:, rows])
         large.release(capture.images, *vars(layers).values(), by_colour.diffuse, by_colour.specular)
+
+
+def colour_alone(images: Floats, intensities: Floats, layers: Layers) -> None:
+    """Give the gloss of one or two pictures, where there is nothing else to hold it to, the colour of the light, in place.
+
+    images: (K, H, W, 3) radiance. intensities: (K, 3). It is as bright as the network says, but no brighter than the darkest channel; of
+    what has no such part, a saturated surface, nothing is taken. diffuse + specular stays the input. Source: as for `colour`.
+    """
+    for k, intensity in enumerate(intensities.astype(np.float32)):
+        gloss = _neutral(images[k] / intensity, layers.specular[k] / intensity) * intensity
+        layers.specular[k] = np.clip(gloss, 0, np.maximum(images[k], 0))
+        np.subtract(images[k], layers.specular[k], out=layers.diffuse[k])
+        large.release(images, layers.diffuse, layers.specular)
+
+
+def _neutral(images: Floats, specular: Floats) -> Floats:
+    """Gloss (..., 1) of the light's colour, as bright as given, but no brighter than the darkest channel; all (..., 3) reflectance."""
+    return np.minimum(specular @ LUMA.astype(np.float32), np.maximum(images.min(axis=-1), 0))[..., None]

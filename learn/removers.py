@@ -86,7 +86,8 @@ def diffuse(capture: Capture) -> Layers:
 def group(capture: Capture) -> Layers:
     """One network over all pictures of the view: the matte twin, diffuse, specular and a confidence for every sample; method (d).
 
-    Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone. The lights' directions are used
+    Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone, and its gloss is given the light's
+    colour. The lights' directions are used
     unless a picture was taken under light that has none. From three pictures on colour says what colour matte and gloss have
     (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, or nearly the same, the pictures
     stay (`learn.normals_check`). Confidence is 0 outside the mask and where a sample is missing.
@@ -122,7 +123,7 @@ def remove_by(loaded: Loaded, capture: Capture) -> Layers:
         capture.lights if known else None,
     )
     layers = _layers(loaded, shown, capture.source, there)
-    if loaded.method == "group" and known:
+    if loaded.method == "group" and known and capture.count >= FEWEST_FOR_GROUP:
         layers = _look_again(capture, layers)
     return layers
 
@@ -143,7 +144,7 @@ def separate(
     done in tiles (`MAX_PIXELS`, `MAX_SAMPLES`). Raises InputError where a side is smaller than `SMALLEST`.
     """
     layers = _layers(loaded, Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights), where)
-    if loaded.method == "group" and lights is not None:
+    if loaded.method == "group" and lights is not None and len(images) >= FEWEST_FOR_GROUP:
         faults = None if valid is None else np.where(valid, 0, int(Fault.CLIPPED)).astype(np.uint8)
         every = np.ones(images.shape[1:3], bool) if mask is None else mask
         layers = _look_again(Capture(images, lights, every, faults=faults, source=where), layers)  # type: ignore[arg-type]
@@ -154,8 +155,6 @@ def _look_again(capture: Capture, layers: Layers) -> Layers:
     """The group network's layers after what colour and the normals say of them, where the lights are known and enough."""
     from learn import neutral_gloss, normals_check
 
-    if capture.count < FEWEST_FOR_GROUP:
-        return layers
     neutral_gloss.colour(capture, layers)
     return normals_check.check(capture, layers)
 
@@ -213,7 +212,12 @@ def _layers(loaded: Loaded, shown: Shown, where: str, there: Bools | None = None
     for k in range(len(images)):
         np.subtract(images[k], specular[k], out=diffuse[k])
         large.release(images, specular, diffuse)
-    return Layers(diffuse, specular, matte, confidence)
+    layers = Layers(diffuse, specular, matte, confidence)
+    if loaded.method == "group" and len(images) < FEWEST_FOR_GROUP:
+        from learn.neutral_gloss import colour_alone
+
+        colour_alone(images, shown.intensities, layers)
+    return layers
 
 
 def exposure_factor(picture: Floats, mask: Bools | None) -> float:

@@ -181,9 +181,19 @@ def test_a_signal_while_it_starts_ends_it_with_a_code_of_its_own(tmp_path: Path,
         assert run.returncode in (2, 130, -number), errors
 
 
+@pytest.fixture(scope="module")
+def longest_import() -> float:
+    """Seconds for what takes longest to import: an interrupt meanwhile waits for its end."""
+    start = time.monotonic()
+    subprocess.run([sys.executable, "-c", "import torch, learn.weights"], check=True, cwd=ROOT)
+    return time.monotonic() - start
+
+
 @pytest.mark.alone
 @pytest.mark.parametrize("after", [0.05, 0.3, 0.6, 1.2])
-def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_path: Path, after: float) -> None:
+def test_a_signal_ends_it_with_a_sentence_and_nothing_left(
+    folder: Path, tmp_path: Path, after: float, longest_import: float
+) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         command = [sys.executable, "-m", "degloss", "recon", "run", str(folder), "-o", str(tmp_path / "out")]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as run:
@@ -191,7 +201,7 @@ def test_a_signal_ends_it_with_a_sentence_and_nothing_left(folder: Path, tmp_pat
             run.send_signal(number)
             start = time.monotonic()
             _, errors = run.communicate(timeout=20)
-        assert time.monotonic() - start < 3
+        assert time.monotonic() - start < 2 + longest_import
         assert run.returncode in (0, 130, -number), errors  # it may have been done, or not yet have begun
         if run.returncode == 130:
             assert errors.splitlines() == ["degloss: stopped; nothing was left half-written, run the same command again"]

@@ -9,7 +9,7 @@ import pytest
 
 from gen import large
 from gen.capture import LUMA, Capture, Floats
-from learn.neutral_gloss import colour
+from learn.neutral_gloss import colour, colour_alone
 from recon.registry import Layers
 
 Synthetic = Callable[..., Capture]
@@ -103,3 +103,28 @@ def test_layers_without_a_matte_twin_are_refused(synthetic: Synthetic) -> None:
     capture = synthetic(size=20)
     with pytest.raises(ValueError, match="matte"):
         colour(capture, Layers(capture.images, np.zeros_like(capture.images)))
+
+
+@pytest.mark.parametrize("tint", [(1, 1, 1), (1, 0.8, 0.5)])
+def test_of_one_picture_the_gloss_gets_the_lights_colour(synthetic: Synthetic, tint: tuple[float, float, float]) -> None:
+    capture, layers = painted(synthetic, tint)
+    truth = capture.truth.specular
+    assert truth is not None
+    before = layers.specular.copy()
+    colour_alone(capture.images, capture.intensities, layers)
+    light = np.array(tint, np.float32)
+    seen = (layers.specular > 1e-4).all(axis=-1)
+    assert seen.any()
+    assert off(layers.specular, np.broadcast_to(light, layers.specular.shape), seen) < 0.1
+    np.testing.assert_allclose(layers.diffuse + layers.specular, capture.images, atol=1e-6)
+    assert (layers.specular <= capture.images + 1e-6).all()
+    assert np.abs(layers.specular - truth * light).mean() < np.abs(before - truth * light).mean()
+
+
+def test_of_one_picture_nothing_is_taken_from_a_saturated_surface() -> None:
+    images = np.zeros((1, 8, 8, 3), np.float32)
+    images[..., 0] = 0.7
+    layers = Layers(0.5 * images, 0.5 * images)
+    colour_alone(images, np.ones((1, 3)), layers)
+    assert not layers.specular.any()
+    np.testing.assert_array_equal(layers.diffuse, images)
