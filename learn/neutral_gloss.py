@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from gen import large
-from gen.capture import LUMA, Capture, Floats
+from gen.capture import LUMA, Bools, Capture, Floats
 from recon.gloss.chromaticity import chromaticity
 from recon.registry import Layers
+
+COLOURED = (0.05, 0.1)
+"""Saturation of an object up to which one picture of it tells nothing by colour, and from which it does."""
+
+DARK = 0.1
+"""Share of the usual brightness up to which a pixel's colour is not looked at."""
 
 
 def colour(capture: Capture, layers: Layers) -> None:
@@ -40,17 +46,31 @@ def colour(capture: Capture, layers: Layers) -> None:
         large.release(capture.images, *vars(layers).values(), by_colour.diffuse, by_colour.specular)
 
 
-def colour_alone(images: Floats, intensities: Floats, layers: Layers) -> None:
+def colour_alone(images: Floats, intensities: Floats, inside: Bools, layers: Layers) -> None:
     """Give the gloss of one or two pictures, where there is nothing else to hold it to, the colour of the light, in place.
 
-    images: (K, H, W, 3) radiance. intensities: (K, 3). It is as bright as the network says, but no brighter than the darkest channel; of
-    what has no such part, a saturated surface, nothing is taken. diffuse + specular stays the input. Source: as for `colour`.
+    images: (K, H, W, 3) radiance. intensities: (K, 3). inside: (H, W), the object. The gloss is as bright as the network says, but no
+    brighter than the darkest channel; of what has no such part, a saturated surface, nothing is taken. From one picture of a grey object
+    (`COLOURED`) nothing is taken either: neither colour nor another light says what of it is gloss. diffuse + specular stays the input.
+    Source: as for `colour`.
     """
     for k, intensity in enumerate(intensities.astype(np.float32)):
-        gloss = _neutral(images[k] / intensity, layers.specular[k] / intensity) * intensity
+        picture = np.maximum(images[k], 0) / intensity
+        told = np.float32(1 if len(images) > 1 else _told_by_colour(picture[inside]))
+        gloss = told * _neutral(picture, layers.specular[k] / intensity) * intensity
         layers.specular[k] = np.clip(gloss, 0, np.maximum(images[k], 0))
         np.subtract(images[k], layers.specular[k], out=layers.diffuse[k])
         large.release(images, layers.diffuse, layers.specular)
+
+
+def _told_by_colour(object_: Floats) -> float:
+    """How far an object (N, 3) of one picture is coloured, from 0 to 1, by the upper quartile of the saturation of what is not dark."""
+    top = object_.max(axis=1, initial=0)
+    lit = top > DARK * np.median(top[top > 0]) if (top > 0).any() else top > 0
+    if not lit.any():
+        return 0.0
+    saturation = np.percentile(1 - object_[lit].min(axis=1) / top[lit], 75)
+    return float(np.clip((saturation - COLOURED[0]) / (COLOURED[1] - COLOURED[0]), 0, 1))
 
 
 def _neutral(images: Floats, specular: Floats) -> Floats:

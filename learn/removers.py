@@ -87,7 +87,7 @@ def group(capture: Capture) -> Layers:
     """One network over all pictures of the view: the matte twin, diffuse, specular and a confidence for every sample; method (d).
 
     Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone, and its gloss is given the light's
-    colour. The lights' directions are used
+    colour; of one picture of something grey all stays. The lights' directions are used
     unless a picture was taken under light that has none. From three pictures on colour says what colour matte and gloss have
     (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, or nearly the same, the pictures
     stay (`learn.normals_check`). Confidence is 0 outside the mask and where a sample is missing.
@@ -216,7 +216,7 @@ def _layers(loaded: Loaded, shown: Shown, where: str, there: Bools | None = None
     if loaded.method == "group" and len(images) < FEWEST_FOR_GROUP:
         from learn.neutral_gloss import colour_alone
 
-        colour_alone(images, shown.intensities, layers)
+        colour_alone(images, shown.intensities, shown.inside, layers)
     return layers
 
 

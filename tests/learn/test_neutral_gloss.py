@@ -111,7 +111,7 @@ def test_of_one_picture_the_gloss_gets_the_lights_colour(synthetic: Synthetic, t
     truth = capture.truth.specular
     assert truth is not None
     before = layers.specular.copy()
-    colour_alone(capture.images, capture.intensities, layers)
+    colour_alone(capture.images, capture.intensities, capture.mask, layers)
     light = np.array(tint, np.float32)
     seen = (layers.specular > 1e-4).all(axis=-1)
     assert seen.any()
@@ -125,6 +125,27 @@ def test_of_one_picture_nothing_is_taken_from_a_saturated_surface() -> None:
     images = np.zeros((1, 8, 8, 3), np.float32)
     images[..., 0] = 0.7
     layers = Layers(0.5 * images, 0.5 * images)
-    colour_alone(images, np.ones((1, 3)), layers)
+    colour_alone(images, np.ones((1, 3)), np.ones((8, 8), bool), layers)
     assert not layers.specular.any()
     np.testing.assert_array_equal(layers.diffuse, images)
+
+
+@pytest.mark.parametrize(("count", "chroma", "taken"), [(1, 0.0, 0), (1, 0.04, 0), (1, 0.3, 1), (2, 0.0, 1)])
+def test_of_one_picture_of_a_grey_thing_nothing_is_taken(synthetic: Synthetic, count: int, chroma: float, taken: int) -> None:
+    capture = synthetic(size=64, albedo=(0.5, 0.5 * (1 - chroma), 0.5 * (1 - chroma)), specular=0.3, alpha=0.2).select(
+        list(range(count))
+    )
+    gloss = capture.truth.specular
+    assert gloss is not None
+    layers = Layers(capture.images - gloss, gloss.copy())
+    colour_alone(capture.images, capture.intensities, capture.mask, layers)
+    np.testing.assert_allclose(layers.specular, taken * gloss, rtol=2e-4, atol=1e-5)
+    np.testing.assert_allclose(layers.diffuse + layers.specular, capture.images, atol=1e-6)
+
+
+def test_a_black_picture_alone_stays_black() -> None:
+    images = np.zeros((1, 8, 8, 3), np.float32)
+    layers = Layers(images.copy(), images.copy())
+    colour_alone(images, np.ones((1, 3)), np.zeros((8, 8), bool), layers)
+    assert not layers.diffuse.any()
+    assert not layers.specular.any()

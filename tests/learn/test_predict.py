@@ -68,7 +68,8 @@ def test_layers_come_as_the_picture_came(networks: dict[str, Loaded], tmp_path: 
     # The sum is the input, but for the rounding of either file: half a step, where sRGB is steepest 1 / 12.92 the least of it.
     step = {8: 2.3 / 255, 16: 1 / 65535, 32: 1e-6}[bits]
     np.testing.assert_allclose(layers["diffuse"].linear + layers["specular"].linear, before, atol=step)
-    assert layers["specular"].linear.max() > 0
+    kept = method == "group" and name == "grey.png"  # one grey picture alone tells it nothing
+    assert (layers["specular"].linear.max() > 0) != kept
     assert ("matte" in made.files) == ("confidence" in made.files) == (method == "group")
     said = json.loads((tmp_path / "out" / "prediction.json").read_text())
     assert said["pictures"][0]["files"] == made.files
