@@ -189,8 +189,8 @@ def pictures_kept(shape: Shape) -> list[str]:
         )
     if kept - doubted >= NOTEWORTHY_KEPT:
         said.append(
-            f"On {100 * (kept - doubted):.0f} % of the object the pictures were measured as they are: it looks matte there, and gloss "
-            f"removal by {method} would hardly turn the normals."
+            f"On {100 * (kept - doubted):.0f} % of the object the pictures were measured as they are: gloss removal by {method} "
+            "would hardly turn the normals there, as on what is matte."
         )
     return said
 

@@ -117,7 +117,7 @@ def test_where_the_pictures_were_kept_for_little_would_change_it_is_said(synthet
         shape = reconstruct(
             capture, replace(layers, doubt=parts[0], kept=parts[1]), Settings(gloss="chromaticity", repair="none")
         )
-        notes = [note for note in shape_metrics(shape)["notes"] if "looks matte there" in note]
+        notes = [note for note in shape_metrics(shape)["notes"] if "hardly turn" in note]
         assert len(notes) == says
         if says:
             share = parts[1][capture.mask].mean() - (0 if parts[0] is None else parts[0][capture.mask].mean())
