@@ -37,17 +37,18 @@ STEEPEST = 0.15
 """Least z of a normal: the slopes of steeper ones are taken as of this."""
 
 
-def check(capture: Capture, layers: Layers) -> Layers:
+def check(capture: Capture, layers: Layers, lit: Bools) -> Layers:
     """The layers with the pictures in place of matte where the network is doubted (`doubt`) or hardly changes the normals (`idle`).
 
     Of metal that mirrors more than it scatters there is hardly a matte layer to be found, and what the network takes for one has the
     normals of no surface: there all samples count alike again. What is nearly matte is measured best as it is; the confidence stays there,
-    for it knows the shadows. In between both are mixed. matte and confidence are changed in place, `doubt` and `kept` of the layers are
-    set, diffuse and specular stay. Raises ValueError where the layers have no matte layer or no confidence.
+    for it knows the shadows. In between both are mixed. lit: (H, W), the pixels of the mask that are looked at: what is black in all
+    pictures would count as what hardly changes. matte and confidence are changed in place, `doubt` and `kept` of the layers are set,
+    diffuse and specular stay. Raises ValueError where the layers have no matte layer or no confidence.
     """
     if layers.matte is None or layers.confidence is None:
         raise ValueError("these layers have no matte layer with a confidence")
-    fields = Fields.of(capture, layers)
+    fields = Fields.of(capture, layers, lit)
     doubted = doubt(fields)
     kept = np.maximum(doubted, idle(fields, doubted))
     doubted, kept = fields.full(doubted), fields.full(kept)
@@ -63,37 +64,37 @@ def check(capture: Capture, layers: Layers) -> Layers:
 @dataclass(frozen=True, eq=False)
 class Fields:
     """Normals before and after, coarse. raw, found: (h, w, 3) unit, or 0 where none is, of the pictures as they are and of the matte layer
-    with its confidence, by least squares. inside: (h, w), what is of the object. mask: (H, W). factor: pixels a side that are one here.
+    with its confidence, by least squares. inside: (h, w), what is of the object. lit: (H, W), the same. factor: pixels a side that are one.
     """
 
     raw: Floats
     found: Floats
     inside: Bools
-    mask: Bools
+    lit: Bools
     factor: int
 
     @classmethod
-    def of(cls, capture: Capture, layers: Layers) -> Fields:
+    def of(cls, capture: Capture, layers: Layers, lit: Bools) -> Fields:
         """Means over factor x factor pixels of the object, and over their neighbours, at about `ACROSS` pixels an object."""
-        factor = max(round(float(capture.mask.sum()) ** 0.5 / ACROSS), 1)
-        covered = _pooled(capture.mask.astype(np.float32), factor)
+        factor = max(round(float(lit.sum()) ** 0.5 / ACROSS), 1)
+        covered = _pooled(lit.astype(np.float32), factor)
         means = [np.zeros((*covered.shape, 3), np.float32) for _ in range(2)]
         for rows in _strips(capture.images.shape, factor):
             below = slice(rows.start // factor, -(-rows.stop // factor))
             for mean, normals in zip(means, _normals(capture, layers, rows), strict=True):
-                mean[below] = _pooled(normals * capture.mask[rows][..., None], factor)
+                mean[below] = _pooled(normals * lit[rows][..., None], factor)
         smooth = (gaussian_filter(mean, (SMOOTHED, SMOOTHED, 0)) for mean in means)
         raw, found = (mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-6) for mean in smooth)
-        return cls(raw, found, covered >= 0.5, capture.mask, factor)
+        return cls(raw, found, covered >= min(0.5, float(covered.max())), lit, factor)
 
     def around(self, part: float) -> float:
         """The standard deviation, in pixels, of surroundings that are a part of the object."""
         return float(self.inside.sum()) ** 0.5 / part
 
     def full(self, share: Floats) -> Floats:
-        """A map (h, w) as (H, W); 0 outside the mask."""
-        H, W = self.mask.shape
-        return np.asarray(share.repeat(self.factor, 0).repeat(self.factor, 1)[:H, :W] * self.mask, np.float32)
+        """A map (h, w) as (H, W); 0 outside the object."""
+        H, W = self.lit.shape
+        return np.asarray(share.repeat(self.factor, 0).repeat(self.factor, 1)[:H, :W] * self.lit, np.float32)
 
 
 def doubt(fields: Fields) -> Floats:

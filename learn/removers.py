@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -124,7 +124,7 @@ def remove_by(loaded: Loaded, capture: Capture) -> Layers:
     )
     layers = _layers(loaded, shown, capture.source, there)
     if loaded.method == "group" and known and capture.count >= FEWEST_FOR_GROUP:
-        layers = _look_again(capture, layers)
+        layers = _look_again(capture, layers, shown.lit)
     return layers
 
 
@@ -143,20 +143,20 @@ def separate(
     unknown; single pictures do without. where: for the message. diffuse + specular is the input, to float rounding. Large pictures are
     done in tiles (`MAX_PIXELS`, `MAX_SAMPLES`). Raises InputError where a side is smaller than `SMALLEST`.
     """
-    layers = _layers(loaded, Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights), where)
+    shown = Shown(images, np.ones((len(images), 3), np.float32), mask, valid, lights)
+    layers = _layers(loaded, shown, where)
     if loaded.method == "group" and lights is not None and len(images) >= FEWEST_FOR_GROUP:
         faults = None if valid is None else np.where(valid, 0, int(Fault.CLIPPED)).astype(np.uint8)
-        every = np.ones(images.shape[1:3], bool) if mask is None else mask
-        layers = _look_again(Capture(images, lights, every, faults=faults, source=where), layers)  # type: ignore[arg-type]
+        layers = _look_again(Capture(images, lights, shown.inside, faults=faults, source=where), layers, shown.lit)  # type: ignore[arg-type]
     return layers
 
 
-def _look_again(capture: Capture, layers: Layers) -> Layers:
+def _look_again(capture: Capture, layers: Layers, lit: Bools) -> Layers:
     """The group network's layers after what colour and the normals say of them, where the lights are known and enough."""
     from learn import neutral_gloss, normals_check
 
     neutral_gloss.colour(capture, layers)
-    return normals_check.check(capture, layers)
+    return normals_check.check(capture, layers, lit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +173,11 @@ class Shown:
     def inside(self) -> Bools:
         """The mask (H, W), or the whole frame."""
         return np.ones(self.images.shape[1:3], bool) if self.mask is None else self.mask
+
+    @cached_property
+    def lit(self) -> Bools:
+        """The `lit_pixels` of the mask (H, W)."""
+        return lit_pixels(self)
 
     def reflectance(self, of: slice, rows: slice, columns: slice) -> Floats:
         """(K, h, w, 3) radiance over light intensity of some pictures and a part of them, not negative."""
@@ -322,7 +327,7 @@ def _group(loaded: Loaded, shown: Shown) -> Iterator[Found]:
     device = next(loaded.model.parameters()).device
     K = len(shown.images)
     object_mask = shown.inside
-    mask = lit_pixels(shown)
+    mask = shown.lit
     toward = None if shown.lights is None else torch.from_numpy(np.asarray(shown.lights, np.float32))[None].to(device)
     top, left, bottom, right = _box(mask)
     every = slice(None)

@@ -76,7 +76,7 @@ def test_curl_is_bounded_where_normals_lie_in_the_picture_plane() -> None:
 
 def doubt_of(capture: Capture, layers: Layers) -> Floats:
     """`doubt` (H, W)."""
-    fields = Fields.of(capture, layers)
+    fields = Fields.of(capture, layers, capture.mask)
     return fields.full(doubt(fields))
 
 
@@ -120,7 +120,7 @@ def test_where_doubted_the_pictures_are_measured_and_elsewhere_nothing_changes(s
     layers = layers_of(capture, layers.matte)
     before = Layers(*(None if layer is None else layer.copy() for layer in vars(layers).values()))  # type: ignore[arg-type]
     doubted = doubt_of(capture, layers)
-    layers = check(capture, layers)
+    layers = check(capture, layers, capture.mask)
     np.testing.assert_array_equal(layers.doubt, doubted)
     assert layers.matte is not None
     assert layers.confidence is not None
@@ -162,7 +162,7 @@ def test_size_of_the_picture_hardly_matters(synthetic: Synthetic) -> None:
 def test_layers_without_a_matte_twin_are_refused(synthetic: Synthetic) -> None:
     capture = synthetic(size=20)
     with pytest.raises(ValueError, match="matte"):
-        check(capture, Layers(capture.images, np.zeros_like(capture.images)))
+        check(capture, Layers(capture.images, np.zeros_like(capture.images)), capture.mask)
 
 
 @pytest.mark.data
@@ -232,10 +232,18 @@ def test_where_little_changes_the_pictures_are_measured_with_the_confidence(synt
     given = layers_of(capture, 0.4 * np.broadcast_to(shading, capture.images.shape))
     assert given.confidence is not None
     trust = given.confidence.copy()
-    layers = check(capture, given)
+    layers = check(capture, given, capture.mask)
     assert layers.kept is not None
     assert layers.doubt is not None
     assert not layers.doubt.any()
     np.testing.assert_array_equal(layers.kept, capture.mask)
     np.testing.assert_allclose(layers.matte, capture.images * capture.mask[..., None], atol=1e-6)
     np.testing.assert_array_equal(layers.confidence, trust)
+
+
+def test_black_around_an_object_without_a_mask_does_not_count_as_what_hardly_changes(synthetic: Synthetic) -> None:
+    tight = synthetic(size=96, specular=0.04, alpha=0.1)
+    images = np.pad(tight.images, ((0, 0), (60, 60), (60, 60), (0, 0)))
+    layers = GLOSS.load("group")(Capture(images, tight.lights, np.ones(images.shape[1:3], bool)))
+    assert layers.kept is not None
+    assert float(layers.kept[60:-60, 60:-60][tight.mask].max()) < 0.01
