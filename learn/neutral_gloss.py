@@ -66,9 +66,10 @@ def colour_alone(images: Floats, intensities: Floats, inside: Bools, layers: Lay
 def _told_by_colour(object_: Floats) -> float:
     """How far an object (N, 3) of one picture is coloured, from 0 to 1, by the upper quartile of the saturation of what is not dark."""
     top = object_.max(axis=1, initial=0)
-    lit = top > DARK * np.median(top[top > 0]) if (top > 0).any() else top > 0
-    if not lit.any():
+    shown = np.isfinite(top) & (top > 0)
+    if not shown.any():
         return 0.0
+    lit = shown & (top > DARK * np.median(top[shown]))
     saturation = np.percentile(1 - object_[lit].min(axis=1) / top[lit], 75)
     return float(np.clip((saturation - COLOURED[0]) / (COLOURED[1] - COLOURED[0]), 0, 1))
 

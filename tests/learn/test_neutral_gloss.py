@@ -143,6 +143,19 @@ def test_of_one_picture_of_a_grey_thing_nothing_is_taken(synthetic: Synthetic, c
     np.testing.assert_allclose(layers.diffuse + layers.specular, capture.images, atol=1e-6)
 
 
+def test_what_has_no_value_in_a_picture_alone_leaves_the_rest_as_it_is(synthetic: Synthetic) -> None:
+    capture = synthetic(size=64, albedo=PAINT, specular=0.3, alpha=0.2).select([0])
+    gloss = capture.truth.specular
+    assert gloss is not None
+    images = capture.images.copy()
+    images[0, 30, 30:33] = np.nan, np.inf, 1e30
+    layers = Layers(images - gloss, gloss.copy())
+    colour_alone(images, capture.intensities, capture.mask, layers)
+    rest = np.ones(images.shape[:3], bool)
+    rest[0, 30, 30:33] = False
+    np.testing.assert_allclose(layers.specular[rest], gloss[rest], rtol=2e-4, atol=1e-5)
+
+
 def test_a_black_picture_alone_stays_black() -> None:
     images = np.zeros((1, 8, 8, 3), np.float32)
     layers = Layers(images.copy(), images.copy())
