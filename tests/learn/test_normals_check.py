@@ -170,10 +170,11 @@ def test_metal_of_the_reference_data_is_not_harmed(data_folder: Path) -> None:
     """A tile of metals that mirror more than they scatter: without the check of curl, most draws come out worse."""
     tile = read_capture(data_folder / "synthrti_tile/Dome")
     group = GLOSS.load("group")
-    parts = [tile.select(chosen) for chosen in draws(tile.lights, 5, 5)]
-    raw, removed = (np.array([errors(part, remover) for part in parts]) for remover in (None, group))
-    assert (removed < raw).all()
-    assert errors(tile, group) < errors(tile, None) - 1.5
+    for chosen in draws(tile.lights, 3, 5):
+        part = tile.select(chosen)
+        assert errors(part, group) < errors(part, None)
+    many = tile.select(draws(tile.lights, 1, 12)[0])
+    assert errors(many, group) < errors(many, None) - 0.5
 
 
 @pytest.mark.parametrize("specular", [0.04, 0.4])
