@@ -28,6 +28,7 @@ bench: $(STAMP)
 	$(BIN)/python -m gen.bench
 	$(BIN)/python -m gen.deviation
 	$(BIN)/python -m learn.real
+	$(BIN)/python -m learn.speed
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -q -m soak

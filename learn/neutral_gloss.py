@@ -6,14 +6,9 @@ import numpy as np
 
 from gen import large
 from gen.capture import LUMA, Bools, Capture, Floats
+from learn.models.evidence import GREY, LIT
 from recon.gloss.chromaticity import chromaticity
 from recon.registry import Layers
-
-COLOURED = (0.05, 0.1)
-"""Saturation of an object up to which one picture of it tells nothing by colour, and from which it does."""
-
-DARK = 0.1
-"""Share of the usual brightness up to which a pixel's colour is not looked at."""
 
 
 def colour(capture: Capture, layers: Layers) -> None:
@@ -51,8 +46,8 @@ def colour_alone(images: Floats, intensities: Floats, inside: Bools, layers: Lay
 
     images: (K, H, W, 3) radiance. intensities: (K, 3). inside: (H, W), the object. The gloss is as bright as the network says, but no
     brighter than the darkest channel; of what has no such part, a saturated surface, nothing is taken. From one picture of a grey object
-    (`COLOURED`) nothing is taken either: neither colour nor another light says what of it is gloss. diffuse + specular stays the input.
-    Source: as for `colour`.
+    (by the saturations `learn.models.evidence.GREY`) nothing is taken either: neither colour nor another light says what of it is gloss.
+    diffuse + specular stays the input. Source: as for `colour`; the limits are ours.
     """
     for k, intensity in enumerate(intensities.astype(np.float32)):
         picture = np.maximum(images[k], 0) / intensity
@@ -69,9 +64,9 @@ def _told_by_colour(object_: Floats) -> float:
     shown = np.isfinite(top) & (top > 0)
     if not shown.any():
         return 0.0
-    lit = shown & (top > DARK * np.median(top[shown]))
+    lit = shown & (top > LIT * np.median(top[shown]))
     saturation = np.percentile(1 - object_[lit].min(axis=1) / top[lit], 75)
-    return float(np.clip((saturation - COLOURED[0]) / (COLOURED[1] - COLOURED[0]), 0, 1))
+    return float(np.clip((saturation - GREY[0]) / (GREY[1] - GREY[0]), 0, 1))
 
 
 def _neutral(images: Floats, specular: Floats) -> Floats:

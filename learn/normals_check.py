@@ -38,7 +38,7 @@ STEEPEST = 0.15
 
 
 def check(capture: Capture, layers: Layers, lit: Bools) -> Layers:
-    """The layers with the pictures in place of matte where the network is doubted (`doubt`) or hardly changes the normals (`idle`).
+    """The layers with the pictures in place of matte where the network is doubted (`doubt`) or hardly changes the normals (`needless`).
 
     Of metal that mirrors more than it scatters there is hardly a matte layer to be found, and what the network takes for one has the
     normals of no surface: there all samples count alike again. What is nearly matte is measured best as it is; the confidence stays there,
@@ -48,9 +48,9 @@ def check(capture: Capture, layers: Layers, lit: Bools) -> Layers:
     """
     if layers.matte is None or layers.confidence is None:
         raise ValueError("these layers have no matte layer with a confidence")
-    fields = Fields.of(capture, layers, lit)
+    fields = CoarseNormals.of(capture, layers, lit)
     doubted = doubt(fields)
-    kept = np.maximum(doubted, idle(fields, doubted))
+    kept = np.maximum(doubted, needless(fields, doubted))
     doubted, kept = fields.full(doubted), fields.full(kept)
     for rows in large.strips((3 * capture.count, *capture.size)):  # of three channels each
         if kept[rows].any():
@@ -62,7 +62,7 @@ def check(capture: Capture, layers: Layers, lit: Bools) -> Layers:
 
 
 @dataclass(frozen=True, eq=False)
-class Fields:
+class CoarseNormals:
     """Normals before and after, coarse. raw, found: (h, w, 3) unit, or 0 where none is, of the pictures as they are and of the matte layer
     with its confidence, by least squares. inside: (h, w), what is of the object. lit: (H, W), the same. factor: pixels a side that are one.
     """
@@ -74,7 +74,7 @@ class Fields:
     factor: int
 
     @classmethod
-    def of(cls, capture: Capture, layers: Layers, lit: Bools) -> Fields:
+    def of(cls, capture: Capture, layers: Layers, lit: Bools) -> CoarseNormals:
         """Means over factor x factor pixels of the object, and over their neighbours, at about `ACROSS` pixels an object."""
         factor = max(round(float(lit.sum()) ** 0.5 / ACROSS), 1)
         covered = _pooled(lit.astype(np.float32), factor)
@@ -97,7 +97,7 @@ class Fields:
         return np.asarray(share.repeat(self.factor, 0).repeat(self.factor, 1)[:H, :W] * self.lit, np.float32)
 
 
-def doubt(fields: Fields) -> Floats:
+def doubt(fields: CoarseNormals) -> Floats:
     """How far each coarse pixel's matte layer is doubted, (h, w) from 0 to 1.
 
     By how much larger the curl of the normals is that least squares finds on it, with its confidence, than that of the normals of the
@@ -109,7 +109,7 @@ def doubt(fields: Fields) -> Floats:
     return _between(found - raw, *MORE)
 
 
-def idle(fields: Fields, doubted: Floats) -> Floats:
+def needless(fields: CoarseNormals, doubted: Floats) -> Floats:
     """How far each coarse pixel's matte layer is left out as not worth it, (h, w) from 0 to 1: its normals are nearly the pictures'.
 
     doubted: (h, w), see `doubt`; what is doubted turns no normal. The angle between both, in the mean over the object, over the
@@ -128,7 +128,7 @@ def _between(values: Floats | float, low: float, high: float) -> Floats:
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)
 
 
-def _curl_around(normals: Floats, fields: Fields) -> Floats:
+def _curl_around(normals: Floats, fields: CoarseNormals) -> Floats:
     """The curl (h, w) of coarse normals, in the mean of the surroundings."""
     values, whole = curl(normals, fields.inside)
     return _mean(np.pad(values, ((0, 1), (0, 1))), np.pad(whole, ((0, 1), (0, 1))), fields.around(AROUND))

@@ -87,10 +87,10 @@ def group(capture: Capture) -> Layers:
     """One network over all pictures of the view: the matte twin, diffuse, specular and a confidence for every sample; method (d).
 
     Any number of pictures in any order; with fewer than three it sees colour and neighbourhood alone, and its gloss is given the light's
-    colour; of one picture of something grey all stays. The lights' directions are used
-    unless a picture was taken under light that has none. From three pictures on colour says what colour matte and gloss have
-    (`learn.neutral_gloss`), and where the normals are less those of a surface than the pictures' own are, or nearly the same, the pictures
-    stay (`learn.normals_check`). Confidence is 0 outside the mask and where a sample is missing.
+    colour; of one picture of something grey all stays. The lights' directions are used unless a picture was taken under light that has
+    none. From three pictures on colour says what colour matte and gloss have (`learn.neutral_gloss`), and where the normals are less those
+    of a surface than the pictures' own are, or nearly the same, the pictures stay (`learn.normals_check`). Confidence is 0 outside the
+    mask and where a sample is missing.
     Errors as for `lime`.
     Source: ours; the exchange over the pictures by their maximum is that of G. Chen, K. Han and K.-Y. Wong, "PS-FCN" (ECCV 2018).
     """

@@ -11,7 +11,7 @@ import pytest
 
 from gen import large
 from gen.capture import Bools, Capture, Fault, Floats, read_capture
-from learn.normals_check import STEEPEST, WORTH, Fields, check, curl, doubt, idle
+from learn.normals_check import STEEPEST, WORTH, CoarseNormals, check, curl, doubt, needless
 from learn.real import errors
 from recon.light_draws import draws
 from recon.normals.least_squares import least_squares
@@ -76,7 +76,7 @@ def test_curl_is_bounded_where_normals_lie_in_the_picture_plane() -> None:
 
 def doubt_of(capture: Capture, layers: Layers) -> Floats:
     """`doubt` (H, W)."""
-    fields = Fields.of(capture, layers, capture.mask)
+    fields = CoarseNormals.of(capture, layers, capture.mask)
     return fields.full(doubt(fields))
 
 
@@ -196,18 +196,18 @@ def test_of_matte_things_the_pictures_stay(synthetic: Synthetic, shape: str) -> 
     np.testing.assert_allclose(layers.matte, capture.images, atol=1e-6)
 
 
-def tilted(angle: Floats) -> Fields:
+def tilted(angle: Floats) -> CoarseNormals:
     """Of a plane that faces the camera, and what tilts it by angles (h, w) in degrees; all of it is the object."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     raw, found = (np.stack(n, -1).astype(np.float32) for n in ((0 * c, 0 * c, 0 * c + 1), (0 * c, s, c)))
     every = np.ones(angle.shape, bool)
-    return Fields(raw, found, every, every, 1)
+    return CoarseNormals(raw, found, every, every, 1)
 
 
 @pytest.mark.parametrize(("angle", "left"), [(0, 1), (3, 1), (3.5, 0.75), (4.5, 0.25), (5, 0), (60, 0)])
 def test_a_change_over_the_whole_object_counts_from_three_to_five_degrees(angle: float, left: float) -> None:
     fields = tilted(np.full((60, 80), angle, np.float32))
-    np.testing.assert_allclose(idle(fields, np.zeros((60, 80), np.float32)), left, atol=1e-3)
+    np.testing.assert_allclose(needless(fields, np.zeros((60, 80), np.float32)), left, atol=1e-3)
 
 
 @pytest.mark.parametrize(("angle", "radius"), [(30, 8), (60, 4), (17, 25)])
@@ -217,10 +217,10 @@ def test_a_spot_that_changes_much_is_used_and_no_more(angle: float, radius: floa
     r = np.hypot(x, y)
     spot = np.where(r < radius, angle, 0).astype(np.float32)
     assert spot.mean() < WORTH[0][1]
-    left = idle(tilted(spot), np.zeros(spot.shape, np.float32))
+    left = needless(tilted(spot), np.zeros(spot.shape, np.float32))
     assert float(left[r < radius / 2].max()) < 0.1
     assert float(left[r > 50].min()) == 1
-    np.testing.assert_array_equal(idle(tilted(spot), (r < radius).astype(np.float32)), 1)  # doubted, it turns nothing
+    np.testing.assert_array_equal(needless(tilted(spot), (r < radius).astype(np.float32)), 1)  # doubted, it turns nothing
 
 
 def test_where_little_changes_the_pictures_are_measured_with_the_confidence(synthetic: Synthetic) -> None:
